@@ -1,6 +1,7 @@
 """How well the table follows: scalars of a tracking error, safe to differentiate."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.model.parameters import Scalar
@@ -17,6 +18,6 @@ def rms(signal: Float[Array, " n"]) -> Scalar:
     return safe_sqrt(jnp.mean(signal**2))
 
 
-def command_noise(command: Float[Array, " n"]) -> Scalar:
+def command_noise(command: Float[Array, " n"] | Float[np.ndarray, " n"]) -> Scalar:
     """RMS of the sample-to-sample change over sqrt 2: the standard deviation of a white command noise, N."""
     return rms(jnp.diff(command)) / jnp.sqrt(2.0)

@@ -1,6 +1,6 @@
 """The arithmetic of a control step, counted in its jaxpr: its cost should be in proportion."""
 
-from typing import Any
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -20,12 +20,12 @@ FREE = {
 def _inner(equation: JaxprEqn) -> list[tuple[Jaxpr, int]]:
     """The jaxprs within an equation, and how often each runs."""
     times = int(equation.params.get("length", 1)) if equation.primitive.name == "scan" else 1
-    inner_jaxprs: list[tuple[Any, int]] = []
+    inner_jaxprs: list[tuple[Jaxpr, int]] = []
     for value in equation.params.values():
         for item in value if isinstance(value, tuple | list) else (value,):
             inner = getattr(item, "jaxpr", item)
             if hasattr(inner, "eqns"):
-                inner_jaxprs.append((inner, times))
+                inner_jaxprs.append((cast(Jaxpr, inner), times))
     return inner_jaxprs
 
 

@@ -66,7 +66,7 @@ class SignalWatch:
             signal.signal(one, handler)
         self._there.close()  # which ends the thread
 
-    def _interrupt(self, *_: Any) -> None:
+    def _interrupt(self, *_: object) -> None:
         """Raised once: a second exception would break what the first one has set going, the writing of results."""
         if not self.raised:
             self.raised = True

@@ -5,10 +5,12 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from types import FrameType
 
 from experiments.cli.ending import FIRST, SIGNALS, TOGETHER
 from tuning.optimisation.least_squares import StepProgress
+
+SignalHandler = Callable[[int, FrameType | None], object] | int | signal.Handlers | None
 
 
 @contextlib.contextmanager
@@ -20,9 +22,9 @@ def stop_at_next_step(progress: StepProgress, say: Callable[[str], None]) -> Ite
     this changes nothing.
     """
     first: float | None = None
-    before: dict[signal.Signals, Any] = {}
+    before: dict[signal.Signals, SignalHandler] = {}
 
-    def ask(number: int, frame: Any) -> None:
+    def ask(number: int, frame: FrameType | None) -> None:
         nonlocal first
         if first is None:
             first = time.monotonic()

@@ -5,7 +5,7 @@ draws the two side by side. The gain of the loop is |L| throughout, its phase th
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -17,11 +17,15 @@ from diffdrive.model.parameters import Drive, Sampling, as_arrays
 from experiments.reports.report import new_figure, plain_logarithmic
 from tuning.gains.requirements import LoopLimits
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 Panels = Mapping[str, Mapping[str, Response]]
 LOWEST = 0.5  # Hz
 POINTS = 1500
-LIMIT = {"color": "0.35", "lw": 0.9}
-REGION = {"color": "C3", "alpha": 0.12, "lw": 0}
+LIMIT: dict[str, Any] = {"color": "0.35", "lw": 0.9}
+REGION: dict[str, Any] = {"color": "C3", "alpha": 0.12, "lw": 0}
 
 
 def responses(
@@ -36,7 +40,7 @@ def responses(
     def found(at: OperatingPoint) -> Response:
         return response(open_loop(drive, controller, sampling, at), frequency)
 
-    together = found(OperatingPoint(*(np.array(values, float) for values in zip(*points, strict=True))))
+    together = found(jax.tree.map(lambda *values: np.array(values, float), *points))
     split = [jax.tree.map(lambda leaf, k=k: np.asarray(leaf[k]), together) for k in range(len(points))]
     return {_label(at): one for at, one in zip(points, split, strict=True)}
 
@@ -46,7 +50,7 @@ def _label(at: OperatingPoint) -> str:
     return f"{motion}, {1e-3 * at.load:g} kN"
 
 
-def nyquist(panels: Panels, limits: LoopLimits = LoopLimits(sensitivity=2.0)) -> Any:
+def nyquist(panels: Panels, limits: LoopLimits = LoopLimits(sensitivity=2.0)) -> "Figure":
     """L in the complex plane near -1, the margins that `limits` asks for marked."""
     figure, axes = new_figure(1, len(panels), width=5.0 * len(panels), height=4.8, share_x=False)
     for axis, (title, labelled) in zip(np.atleast_1d(axes), panels.items(), strict=True):
@@ -58,7 +62,7 @@ def nyquist(panels: Panels, limits: LoopLimits = LoopLimits(sensitivity=2.0)) ->
     return figure
 
 
-def _required(axis: Any, limits: LoopLimits) -> None:
+def _required(axis: "Axes", limits: LoopLimits) -> None:
     """The unit circle, the ends of the gain margins, the rays of the phase margin, the circle of Ms."""
     turn = np.linspace(0.0, 2.0 * np.pi, 400)
     axis.plot(np.cos(turn), np.sin(turn), **LIMIT)
@@ -75,7 +79,7 @@ def _required(axis: Any, limits: LoopLimits) -> None:
         axis.fill(circle.real, circle.imag, **REGION)
 
 
-def bode(panels: Panels, limits: LoopLimits = LoopLimits()) -> Any:
+def bode(panels: Panels, limits: LoopLimits = LoopLimits()) -> "Figure":
     """|L| and its phase over frequency, with the bands within which the other one must not cross."""
     figure, axes = new_figure(2, len(panels), width=5.0 * len(panels), height=2.6)
     axes = np.reshape(axes, (2, len(panels)))

@@ -2,7 +2,6 @@
 
 from functools import singledispatch
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -57,7 +56,7 @@ def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:
 
 
 @singledispatch
-def section(result: Any, writer: Report) -> None:
+def section(result: object, writer: Report) -> None:
     """What is written of a result of this kind."""
     raise ParameterError(f"no report is known of a {type(result).__name__}")
 

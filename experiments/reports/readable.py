@@ -3,10 +3,9 @@
 import math
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import Any
 
 import numpy as np
 
@@ -66,7 +65,7 @@ def _stripped(text: str) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def shown(value: Any, digits: int = DIGITS) -> str:
+def shown(value: object, digits: int = DIGITS) -> str:
     """A value as a cell of a table."""
     if value is None:
         return "-"
@@ -114,7 +113,7 @@ def titled(text: str) -> str:
     return text[:1].upper() + text[1:] if re.match(r"[a-z]+\b(?!\.)", text) else text
 
 
-def numbers(name: str, values: dict[str, Any], width: int) -> list[str]:
+def numbers(name: str, values: Mapping[str, object], width: int) -> list[str]:
     """Named numbers: in one line where they fit, else one line each."""
     title, pairs = titled(_words(name)), []
     for key, value in values.items():
@@ -181,7 +180,9 @@ def _longest_word(text: str) -> int:
     return max(map(len, text.split(" ")), default=0)
 
 
-def table(headings: Sequence[str], rows: Sequence[Sequence[Any]], width: int, digits: int = DIGITS) -> list[list[str]]:
+def table(
+    headings: Sequence[str], rows: Sequence[Sequence[object]], width: int, digits: int = DIGITS
+) -> list[list[str]]:
     """Lines of a table; of several, one beside the other in their columns, where one would be wider than that.
 
     Each of several begins with the columns that tell the rows apart. The first lines of each are its headings, down to

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -26,11 +26,15 @@ from experiments.reports import progress, readable
 from experiments.reports.formats import figure_formats
 from experiments.reports.output_folder import OutputFolder
 
+if TYPE_CHECKING:
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
 RESULT = "result.json"
 NO_ROOM = f"OSError: [Errno {errno.ENOSPC}] {os.strerror(errno.ENOSPC)}"
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> object:
     """The value as JSON can hold it, which has no infinite or undefined numbers: they become their names."""
     if isinstance(value, dict):
         return {str(key): plain(one) for key, one in value.items()}
@@ -45,7 +49,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def _json(data: dict[str, Any]) -> str:
+def _json(data: dict[str, object]) -> str:
     return json.dumps(plain(data), indent=2, allow_nan=False) + "\n"
 
 
@@ -102,7 +106,7 @@ class Report:
             self._folder.open(len(self._stopped(NO_ROOM)))
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: Any) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
         """Write what there is, also when the work was interrupted or failed; nothing where there is nothing yet."""
         try:
             if kind is None:
@@ -134,7 +138,7 @@ class Report:
         """Print it, and keep nothing: it says what is kept elsewhere."""
         self._print(self._prose(text), style)
 
-    def keep(self, name: str, **numbers: Any) -> None:
+    def keep(self, name: str, **numbers: object) -> None:
         """Keep named numbers, the unit in the name (rms_um), without a word."""
         self.data.setdefault(name, {}).update(plain(numbers))
         self._hold()
@@ -143,12 +147,12 @@ class Report:
         """Print the named numbers that are kept by this name."""
         self._print(readable.numbers(name, self.data[name], self.console.width))
 
-    def values(self, name: str, **numbers: Any) -> None:
+    def values(self, name: str, **numbers: object) -> None:
         """Print named numbers (the unit belongs into the name: rms_um) and keep them."""
         self.keep(name, **numbers)
         self._print(readable.numbers(name, numbers, self.console.width))
 
-    def record(self, name: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    def record(self, name: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
         """Keep a table, and write it as CSV, without a word."""
         self.data.setdefault("tables", {})[name] = {
             "columns": list(columns),
@@ -165,7 +169,7 @@ class Report:
         self,
         caption: str,
         columns: Sequence[str],
-        rows: Sequence[Sequence[Any]],
+        rows: Sequence[Sequence[object]],
         digits: int = readable.DIGITS,
         notes: Sequence[str] = (),
     ) -> None:
@@ -187,7 +191,7 @@ class Report:
         self,
         name: str,
         columns: Sequence[str],
-        rows: Sequence[Sequence[Any]],
+        rows: Sequence[Sequence[object]],
         caption: str = "",
         digits: int = readable.DIGITS,
         notes: Sequence[str] = (),
@@ -228,7 +232,7 @@ class Report:
             text = readable.in_ascii(line) if self.console.options.ascii_only else line
             self.console.print(Text(text, style=style))
 
-    def figure(self, name: str, figure: Any) -> None:
+    def figure(self, name: str, figure: "Figure") -> None:
         """Save a figure as PNG, and in the other formats of `figure_formats`."""
         if self.out is not None:
             for ending in figure_formats.get():
@@ -280,7 +284,7 @@ def named_file(text: str) -> str:
 
 def new_figure(
     rows: int = 1, columns: int = 1, *, width: float = 8.0, height: float = 3.0, share_x: bool = True
-) -> Any:
+) -> tuple["Figure", Any]:
     """A figure and its axes ([rows, columns] squeezed), drawn without a display and without global state."""
     import matplotlib as mpl  # a third of a second to import, and no figure is drawn without a folder to write it to
     from matplotlib.figure import Figure
@@ -291,11 +295,11 @@ def new_figure(
     return figure, axes
 
 
-def plain_logarithmic(axis: Any) -> None:
+def plain_logarithmic(axis: "Axis") -> None:
     """Label one axis of a logarithmic plot 0.1, 1, 20 in place of powers of ten, fewer of them the more it spans."""
     from matplotlib.ticker import FuncFormatter
 
-    def between(value: float, _: Any) -> str:
+    def between(value: float, _: object) -> str:
         low, high = axis.get_view_interval()
         decades, digit = math.log10(high / low), round(value / 10.0 ** math.floor(math.log10(value) + 1e-9))
         shown = range(2, 10) if decades < 1.0 else (2, 5) if decades < 2.0 else ()

@@ -1,7 +1,7 @@
 """The commands that work on one drive file: simulate and convergence."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from diffdrive.observers.convergence import convergence_gains, time_constants
 from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
 from experiments.reports.report import Report, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # what a machine could not log; the velocity gets another name there, as a log's is that which the machine reports
 _SIMULATED = {
@@ -88,7 +91,7 @@ def _load(report: Report, load: float, estimate: float) -> None:
         )
 
 
-def run_figure(run: Run) -> Any:
+def run_figure(run: Run) -> "Figure":
     """Position, tracking error, forces and load over time."""
     figure, axes = new_figure(4, 1, width=9.0, height=1.9)
     axes[0].plot(run.time, 1e3 * run.reference, label="reference")

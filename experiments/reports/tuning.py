@@ -1,7 +1,7 @@
 """`diffdrive tune`: gains by gradient within margins, proved on what they were not tuned on."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from tuning.gains.workflow import (
     tuned_axis,
     verify,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 UNITS = {
     "phase": "phase_deg",
@@ -161,12 +164,12 @@ def _unit(tuned: GainSearch, name: str) -> str:
 
 def margins_table(report: Report, both: Sequence[ControllerMargins]) -> None:
     """The worst of each margin before and after, also on a machine and loads that were not tuned on."""
-    rows: list[list[Any]] = []
+    rows: list[list[object]] = []
     for name, found in zip(("given", "tuned"), both, strict=True):
         for place, part in (("as tuned", found.training), ("held out", found.held_out)):
             worst = worst_margins(part)
             rows.append([f"{place}, {name}", *(worst.get(key) for key in WORST)])
-    rows.sort(key=lambda row: row[0])
+    rows.sort(key=lambda row: str(row[0]))
     columns = ("where", "gain up dB", "gain down dB", "phase deg", "peak sensitivity", "growth 1/s")
     report.table("margins", columns, rows, "Worst margins over speeds, directions and loads")
 
@@ -258,7 +261,7 @@ def _pareto(
     report.figure("pareto", figure)
 
 
-def _conditions(plan: TuningPlan, prepared: TuningSetup, description: Axis) -> dict[str, Any]:
+def _conditions(plan: TuningPlan, prepared: TuningSetup, description: Axis) -> dict[str, object]:
     """What the gains rest on."""
     required = {
         UNITS.get(name, name): np.max(np.asarray(value) * (180.0 / np.pi if name == "phase" else 1.0)).item()
@@ -276,7 +279,7 @@ def _conditions(plan: TuningPlan, prepared: TuningSetup, description: Axis) -> d
     }
 
 
-def tuning_figure(tuned: GainSearch, runs: list[ScenarioComparison], plan: TuningPlan) -> Any:
+def tuning_figure(tuned: GainSearch, runs: list[ScenarioComparison], plan: TuningPlan) -> "Figure":
     """The search, and one held-out scenario before and after."""
     figure, (left, right) = new_figure(1, 2, width=11.0, height=3.4, share_x=False)
     history = tuned.best.state.history

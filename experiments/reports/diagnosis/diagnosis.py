@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +14,8 @@ from diffdrive.errors import ParameterError
 from experiments.reports.checked_logs import axis_with_overrides, parse_loads, read_and_check
 from experiments.reports.diagnosis.figures import save_diagnosis_figures
 from experiments.reports.diagnosis.files import AUGMENTED, NEXT, write_augmented, write_reference
-from experiments.reports.diagnosis.page import print_answers, write_page
-from experiments.reports.diagnosis.payoff import payoff, summarise_payoff
+from experiments.reports.diagnosis.page import Details, print_answers, write_page
+from experiments.reports.diagnosis.payoff import GainFigures, payoff, summarise_payoff
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs
 from tuning.diagnosis.calibration import TOLERANCE
@@ -50,7 +49,7 @@ def diagnose_logs(
     most_effects: int = MOST_EFFECTS,
     tolerance: float = TOLERANCE,
     tuned: bool = False,
-) -> dict[str, Any]:
+) -> Details:
     """`diffdrive diagnose`; returns what diagnosis.json holds.
 
     `columns`, `units`, `shifts`, `loads` are texts as on the command line; with `tuned`, the controller is tuned on the
@@ -129,16 +128,17 @@ def _save(report: Report, result: DiagnosisResult, augmented: str | None) -> Non
 
 
 def _pay(
-    report: Report, details: dict[str, Any], description: Axis, augmented: str | None, max_load: float
-) -> dict[str, Any]:
+    report: Report, details: Details, description: Axis, augmented: str | None, max_load: float
+) -> dict[str, object]:
     """Tune on both drives; what that tells, in words and, if there was something to tune on, each gains' numbers."""
     assert report.out is not None
+    gains: dict[str, GainFigures] = {}
     if not details["ladder"][2:]:
-        says, gains = "Nothing to tune on: no effect was added.", {}
+        says = "Nothing to tune on: no effect was added."
     elif augmented is None:
-        says, gains = "Nothing to tune on: no drive file can say what was found.", {}
+        says = "Nothing to tune on: no drive file can say what was found."
     elif isinstance(description.controller, UnknownController):
-        says, gains = "Nothing to tune: the drive file does not know its controller.", {}
+        says = "Nothing to tune: the drive file does not know its controller."
     else:
         plan = TuningPlan(max_load=max_load, loads=TuningPlan.loads if max_load > 0 else 1)
         gains = payoff(report, description, read_axis(report.out / augmented), plan)

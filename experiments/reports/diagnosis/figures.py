@@ -1,9 +1,10 @@
 """The figures of `diffdrive diagnose`: the ladder, the missing force, where it lies, and the causes."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from diffdrive.logs import Log
@@ -28,7 +29,7 @@ def save_diagnosis_figures(report: Report, found: Diagnosis, logs: Sequence[Log]
         report.figure("causes", _causes(found))
 
 
-def _ladder(found: Diagnosis) -> Any:
+def _ladder(found: Diagnosis) -> Figure:
     """The gap of each model on held-out data, against the floor: the missing force and, simulated, the closed loop."""
     rms = np.array([rung.force.rms if rung.force.told else np.nan for rung in found.rungs])
     spread = np.abs(np.array([rung.interval for rung in found.rungs]).T - rms)
@@ -50,7 +51,7 @@ def _ladder(found: Diagnosis) -> Any:
     return figure
 
 
-def _points(axis: Any, values: np.ndarray, floor: float, why: str, spread: np.ndarray | None = None) -> None:
+def _points(axis: Axes, values: np.ndarray, floor: float, why: str, spread: np.ndarray | None = None) -> None:
     """One value for each model, with its error bar, on a logarithmic axis; of one that is nan it is said `why`."""
     at, good = np.arange(len(values)), [one for one in (floor, *values) if np.isfinite(one)]
     axis.errorbar(at, values, yerr=spread, fmt="o", color=AFTER, capsize=4)
@@ -69,7 +70,7 @@ def _points(axis: Any, values: np.ndarray, floor: float, why: str, spread: np.nd
             axis.text(k, 0.97, why, transform=axis.get_xaxis_transform(), rotation=90, ha="center", va="top")
 
 
-def _missing(found: Diagnosis, logs: Sequence[Log]) -> Any:
+def _missing(found: Diagnosis, logs: Sequence[Log]) -> Figure:
     """The force that is missing over time and position, and within the period that was found; before and after."""
     log = found.split.logs[-1]
     repeats = _period(found, log)
@@ -115,7 +116,7 @@ def _first_and_last(rungs: Sequence[Rung]) -> list[tuple[Rung, str, str]]:
     return [(rungs[1], "recalibrated", BEFORE), *last]
 
 
-def _where(found: Diagnosis) -> Any:
+def _where(found: Diagnosis) -> Figure:
     """Shares of the gap beside the shares of the time."""
     telling = [one for one in found.where if one.dimension not in ("subsystem", "signal")]
     telling = [one for one in telling if one.p_value < SIGNIFICANT][:REGIONS] or telling[:REGIONS]
@@ -130,7 +131,7 @@ def _where(found: Diagnosis) -> Any:
     return figure
 
 
-def _causes(found: Diagnosis) -> Any:
+def _causes(found: Diagnosis) -> Figure:
     """How sure each cause is."""
     beliefs = found.verdict.beliefs[:CAUSES]
     figure, axis = new_figure(width=7.0, height=0.6 + 0.34 * max(len(beliefs), 3))

@@ -54,10 +54,11 @@ PICTURES = {
 }
 BOTH = "Nominal parameters; damping moves with viscous friction"
 
-Row = list[Any]
+Row = list[object]
+Details = dict[str, Any]  # of what diagnosis.json holds, an object of objects, lists, texts and numbers
 
 
-def print_answers(report: Report, details: dict[str, Any]) -> None:
+def print_answers(report: Report, details: Details) -> None:
     """Print the verdict, and then the four answers, in their order."""
     gap, regions = details["gap"], _regions(details)
     report.print(f"\n{details['verdict'].upper()}: {details['says']}", style="bold")
@@ -96,7 +97,7 @@ def _joined(rows: list[Row]) -> list[Row]:
     ]
 
 
-def _with_interval(value: float | None, low: float | None, high: float | None) -> str:
+def _with_interval(value: object, low: object, high: object) -> str:
     if low is None or high is None:
         return shown(value, FEW)
     return f"{shown(value, FEW)} ({shown(low, FEW)} to {shown(high, FEW)})"
@@ -109,7 +110,7 @@ MEASURES = {
 }
 
 
-def _odd(ladder: Sequence[dict[str, Any]]) -> list[str]:
+def _odd(ladder: Sequence[Details]) -> list[str]:
     """Why a model looks worse than the one before it, or better than its noise lets it."""
     notes = []
     if worse := _larger(ladder[0], ladder[1]):
@@ -127,7 +128,7 @@ def _odd(ladder: Sequence[dict[str, Any]]) -> list[str]:
     return notes
 
 
-def _larger(first: dict[str, Any], second: dict[str, Any]) -> list[str]:
+def _larger(first: Details, second: Details) -> list[str]:
     return [name for name, (rms, _) in MEASURES.items() if _is_below(first[rms], second[rms])]
 
 
@@ -135,7 +136,7 @@ def _is_below(one: float | None, other: float | None) -> bool:
     return one is not None and other is not None and one < other
 
 
-def write_page(report: Report, details: dict[str, Any], augmented: str | None) -> None:
+def write_page(report: Report, details: Details, augmented: str | None) -> None:
     """Write report.html beside the figures, which it holds inside."""
     assert report.out is not None
     gap, title, regions = details["gap"], _html(report.data["title"]), _regions(details)
@@ -178,11 +179,11 @@ def _html(text: str) -> str:
     return escape(readable(text))
 
 
-def _found(details: dict[str, Any]) -> str:
+def _found(details: Details) -> str:
     return "".join(f"<br>{_html(line)}" for line in headlines(details["causes"]))
 
 
-def _regions(details: dict[str, Any]) -> list[str]:
+def _regions(details: Details) -> list[str]:
     """Where more of the gap lies than chance would give, in words."""
     telling = [one for one in details["where"] if one["p_value"] < SIGNIFICANT and one["share"] >= LEAST][:REGIONS]
     return [f"{one['says']} ({_chance(one['p_value'])})" for one in telling]
@@ -192,7 +193,7 @@ def _chance(p: float) -> str:
     return f"p = {p:.2g}" if p >= LEAST_CHANCE else f"p < {LEAST_CHANCE:g}"
 
 
-def _rung(one: dict[str, Any]) -> Row:
+def _rung(one: Details) -> Row:
     position = one["position_rms_m"]
     return [
         one["model"],
@@ -203,19 +204,19 @@ def _rung(one: dict[str, Any]) -> Row:
     ]
 
 
-def _floor(details: dict[str, Any]) -> Row:
+def _floor(details: Details) -> Row:
     gap = details["gap"]
     floor = {"position_rms_m": gap["noise_floor_position_m"], "command_rms_N": gap["noise_floor_command_N"]}
     force = {"force_rms_N": gap["noise_floor_force_N"], "force_interval_N": [None, None]}
     return _rung({"model": "noise floor"} | force | floor)
 
 
-def _sizes(details: dict[str, Any]) -> list[Row]:
+def _sizes(details: Details) -> list[Row]:
     """The gap before anything is added, against the floor."""
     return [*(_rung(one) for one in details["ladder"][:2]), _floor(details)]
 
 
-def _ladder(details: dict[str, Any]) -> list[Row]:
+def _ladder(details: Details) -> list[Row]:
     nothing: Row = [None, None, None]
     first, *others = details["ladder"]
     shrinks = [[_percent(share) for share in (one["shrink"], *one["shrink_interval"])] for one in others]
@@ -227,7 +228,7 @@ def _percent(share: float | None) -> float | None:
     return None if share is None else 100.0 * share
 
 
-def _not_simulated(details: dict[str, Any]) -> list[str]:
+def _not_simulated(details: Details) -> list[str]:
     """Why there are no numbers in closed loop, each reason with the models that it is about."""
     models: dict[str, list[str]] = {}
     for one in details["ladder"]:
@@ -236,7 +237,7 @@ def _not_simulated(details: dict[str, Any]) -> list[str]:
     return [f"{', '.join(names)}: {reason}" for reason, names in models.items()]
 
 
-def _cause(one: dict[str, Any]) -> Row:
+def _cause(one: Details) -> Row:
     return [
         one["effect"],
         one["round"],
@@ -247,7 +248,7 @@ def _cause(one: dict[str, Any]) -> Row:
     ]
 
 
-def _recalibrated(one: dict[str, Any]) -> Row:
+def _recalibrated(one: Details) -> Row:
     row = [one["parameter"], "" if one["unit"] == "1" else one["unit"], one["drive_file"]]
     for key in ("recalibrated", "with_effects"):
         row += format_span((one[key], *one[f"{key}_interval"])) if key in one else ("-", "-", "-")
@@ -264,7 +265,7 @@ def _findings(findings: Sequence[dict[str, str]]) -> str:
     )
 
 
-def _paid(paid: dict[str, Any]) -> str:
+def _paid(paid: Details) -> str:
     """What the controller gains by being tuned on what was found."""
     rows = [
         [name, *(one[key] for key in payoff.COLUMNS), "yes" if one["requirements_kept_where_tuned"] else "no"]
@@ -297,5 +298,5 @@ def _table(columns: tuple[str, ...], rows: list[Row], caption: str = "", words: 
     return f"<table{kind}>{above}<tr>{head}</tr>{body}</table>"
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     return _html(shown(value))

@@ -5,7 +5,6 @@ tuned on.
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -20,15 +19,14 @@ from tuning.gains.handover import worst_margins
 from tuning.gains.plan import ScenarioResult, TuningPlan, held_out_scenarios, run_scenario
 from tuning.gains.requirements import Constraints, LoopLimits, operating_points
 
+GainFigures = dict[str, float | bool]  # of one controller, the unit in the name
 STANDSTILL = 0.0  # m/s
 NAMES = ("given", "tuned on nominal", "tuned on augmented")
 COLUMNS = ("mean_rms_um", "worst_peak_um", "command_noise_N", "phase_deg", "gain_up_dB", "gain_down_dB")
 CAPTION = "On the drive with what was found, in scenarios not tuned on"
 
 
-def payoff(
-    report: Report, nominal: Axis, augmented: Axis, plan: TuningPlan = TuningPlan()
-) -> dict[str, dict[str, Any]]:
+def payoff(report: Report, nominal: Axis, augmented: Axis, plan: TuningPlan = TuningPlan()) -> dict[str, GainFigures]:
     """Tune on both drives and judge the gains as given and both results on the augmented one.
 
     The tunings' own figures and tables go to the folders tuned-nominal and tuned-augmented of `report`. Raises what
@@ -45,7 +43,8 @@ def payoff(
         gains.append(tuned.controller)
         accepted.append(kept)
     scenarios = held_out_scenarios(augmented, plan)
-    rows, found = [], {}
+    rows: list[list[object]] = []
+    found: dict[str, GainFigures] = {}
     for name, controller, kept in zip(NAMES, gains, accepted, strict=True):
         with report.working(f"judging the gains {name}"):
             judged = [run_scenario(controller, one, augmented.sampling) for one in scenarios]
@@ -55,7 +54,7 @@ def payoff(
     return found
 
 
-def summarise_payoff(found: dict[str, dict[str, Any]]) -> str:
+def summarise_payoff(found: dict[str, GainFigures]) -> str:
     """What `payoff` found, in a sentence."""
     was, now = (found[name]["mean_rms_um"] for name in NAMES[1:])
     failed = [name for name in NAMES[1:] if not found[name]["runs_ok"]]
@@ -72,7 +71,7 @@ def _subfolder(report: Report, name: str) -> Path | None:
     return None if report.out is None else report.out / name
 
 
-def _as_dict(judged: list[ScenarioResult], margins: dict[str, float]) -> dict[str, Any]:
+def _as_dict(judged: list[ScenarioResult], margins: dict[str, float]) -> GainFigures:
     return {
         "mean_rms_um": float(np.mean([one.rms for one in judged])),
         "worst_peak_um": float(np.max([one.peak for one in judged])),

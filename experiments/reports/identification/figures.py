@@ -1,12 +1,12 @@
 """The figures of `diffdrive identify`: friction curves, what is missing, parameters, innovations."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 import scipy.stats
+from matplotlib.figure import Figure
 
 from diffdrive.errors import DiffdriveError
 from diffdrive.logs import Log
@@ -40,12 +40,12 @@ def save_identification_figures(report: Report, found: Identification, before: D
     report.figure("innovations", _innovations(found, stretches))
 
 
-def _shades(count: int) -> list[Any]:
+def _shades(count: int) -> list[str | tuple[float, float, float, float]]:
     """One colour per load."""
     return ["C0"] if count == 1 else [mpl.colormaps["viridis"](k / count) for k in range(count)]
 
 
-def _stribeck(found: Identification, before: Drive, stretches: Sequence[Log]) -> tuple[Any, tuple[str, ...]]:
+def _stribeck(found: Identification, before: Drive, stretches: Sequence[Log]) -> tuple[Figure | None, tuple[str, ...]]:
     """Friction over speed, one panel per direction: measured with error bars, drive file's and identified.
 
     Less the constant force, as the motor meets it: what of it is friction each drive says otherwise.
@@ -87,7 +87,9 @@ def _pull(drive: Drive) -> float:
     return float(drive.plant.constant_force)
 
 
-def _hysteresis(found: Identification, before: Drive, stretches: Sequence[Log]) -> tuple[Any, tuple[str, ...]]:
+def _hysteresis(
+    found: Identification, before: Drive, stretches: Sequence[Log]
+) -> tuple[Figure | None, tuple[str, ...]]:
     """Friction over the way since a reversal, as in the paper's Fig. 8: measured and, filtered alike, modelled."""
     measured = hysteresis_curves(stretches, found.drive)
     if not measured.curves:
@@ -127,7 +129,7 @@ def _hysteresis(found: Identification, before: Drive, stretches: Sequence[Log]) 
     return figure, measured.notes
 
 
-def _missing_force(found: Identification, stretches: Sequence[Log]) -> Any:
+def _missing_force(found: Identification, stretches: Sequence[Log]) -> Figure:
     """Over time, the stretches one after another, beside the position; and over the position, by direction."""
     figure, axes = new_figure(3, 1, width=10.0, height=2.4, share_x=False)
     axes[1].sharex(axes[0])
@@ -157,7 +159,7 @@ def _missing_force(found: Identification, stretches: Sequence[Log]) -> Any:
     return figure
 
 
-def _innovations(found: Identification, stretches: Sequence[Log]) -> Any:
+def _innovations(found: Identification, stretches: Sequence[Log]) -> Figure:
     """Are they white, and how are they spread?"""
     counted = np.concatenate([row[: len(one.time)] for row, one in zip(found.innovation, stretches, strict=True)])
     lags = min(LAGS, found.innovation.shape[1] // 10)

@@ -1,9 +1,10 @@
 """Parameters and their intervals relative to what the drive file says: a forest plot."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from experiments.reports.readable import interval, shown
 from experiments.reports.report import new_figure, plain_logarithmic
@@ -14,7 +15,7 @@ LINEAR = 2.0  # ratio up to which the axis is linear
 COLOURS = {"fitted": "C0", "at its bound": "C3"}  # grey: not fitted
 
 
-def forest(estimates: Sequence[ParameterEstimate]) -> Any:
+def forest(estimates: Sequence[ParameterEstimate]) -> Figure:
     """One row per parameter: identified over the drive file's value, and the numbers beside it.
 
     Where there is no positive ratio (a value of zero, or of another sign) the row has only its numbers.
@@ -41,7 +42,7 @@ def forest(estimates: Sequence[ParameterEstimate]) -> Any:
     return figure
 
 
-def _mark(axis: Any, k: int, one: ParameterEstimate) -> float:
+def _mark(axis: Axes, k: int, one: ParameterEstimate) -> float:
     """Draw one row; returns the ratio, or its inverse, to which it reaches."""
     if one.believed == 0 or one.value / one.believed <= 0:
         return 1.0

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,6 +25,7 @@ SMOOTHING = 0.02  # s, over which a missing force is averaged: below that it is 
 # what a drive makes of a log: the description with that drive in it, its delay (control periods), the log -> numbers
 # by name, the unit in the name
 Measure = Callable[[Axis, float, Log], dict[str, float]]
+GapRow = tuple[str, str, str, float, float]  # log, its role, the gap, the drive file's and the identified drive's
 
 _predict = eqx.filter_jit(predict)
 
@@ -73,7 +73,7 @@ def delay_of(drive: Drive) -> float:
     return drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
 
 
-def _larger(rows: Sequence[Sequence[Any]]) -> list[str]:
+def _larger(rows: Sequence[GapRow]) -> list[str]:
     """Why a gap is larger with the identified drive, where one is."""
     larger = [f"{log}, {gap.rpartition(',')[0]}" for log, _, gap, was, now in rows if now > NOTABLY * was]
     if not larger:
@@ -97,14 +97,14 @@ def gap_table(
 
     The controller is the drive file's in both cases, with the model that it had when the logs were made.
     """
-    rows: list[list[Any]] = []
+    rows: list[GapRow] = []
     with report.working("the gap before and after"):
         for role, several in (("identified from", logs), ("held out", held_out)):
             for log in several:
                 for measure in MEASURES:
                     was = measure(description, delay_of(description.drive), log)
                     now = measure(replace(description, drive=identified), delay, log)
-                    rows += [[log.name, role, name, was[name], now[name]] for name in was]
+                    rows += [(log.name, role, name, was[name], now[name]) for name in was]
     report.table(
         "gaps",
         ("log", "role", "gap", "drive file", "identified"),

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -170,7 +169,7 @@ def print_identification(report: Report, found: Identification) -> None:
 def estimates_table(report: Report, found: Identification) -> None:
     """Every parameter before and after, with its interval and the bounds of the search."""
 
-    def row(one: Any) -> list[Any]:
+    def row(one: ParameterEstimate) -> list[object]:
         interval = [one.low, one.high] if one.status == "fitted" else [None, None]
         free = one.status in ("fitted", "at its bound")
         within = [_short(one.lowest), _short(one.highest)] if free else [None, None]
@@ -189,7 +188,7 @@ def estimates_table(report: Report, found: Identification) -> None:
     )
 
 
-def _estimate(one: ParameterEstimate) -> list[Any]:
+def _estimate(one: ParameterEstimate) -> list[object]:
     value, between = readable.shown(one.value), one.status
     if one.status == "fitted":
         value, between = readable.interval(one.value, one.low, one.high)

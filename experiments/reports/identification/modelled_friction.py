@@ -2,8 +2,10 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -18,10 +20,12 @@ from tuning.identification.problem import MIN_LANE_SAMPLES
 def gap_free_pieces(logs: Sequence[Log]) -> list[Log]:
     """The gap-free stretches in the order of `tuning.identification.problem.lanes_of`, each as a log of its own."""
     pieces = [(log, piece) for log in logs for piece in log.pieces() if piece.stop - piece.start >= MIN_LANE_SAMPLES]
-    return [
-        dataclasses.replace(log, gaps=(), **{name: values[piece] for name, values in log.channels.items()})
-        for log, piece in pieces
-    ]
+    return [_piece_of(log, piece) for log, piece in pieces]
+
+
+def _piece_of(log: Log, piece: slice) -> Log:
+    channels: dict[str, Any] = {name: values[piece] for name, values in log.channels.items()}
+    return dataclasses.replace(log, gaps=(), **channels)
 
 
 _along = eqx.filter_jit(friction_along)
@@ -30,7 +34,7 @@ _along = eqx.filter_jit(friction_along)
 def modelled_friction(drive: Drive, stretch: Log, velocity: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Friction and damping (N) of `drive` at these velocities (m/s) of a stretch, the bristle relaxed at the start."""
     load = np.zeros_like(velocity) if stretch.load is None else stretch.load
-    arguments = as_arrays((drive, np.asarray(velocity), np.asarray(load), 1.0 / stretch.rate))
+    arguments = as_arrays((drive, jnp.asarray(velocity), jnp.asarray(load), jnp.asarray(1.0 / stretch.rate)))
     return np.asarray(_along(*arguments).friction)
 
 

@@ -1,7 +1,7 @@
 """The figures of a sweep."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,13 +9,17 @@ from experiments.reports.report import new_figure, plain_logarithmic
 from tuning.sweeps.sensitivity import Influence
 from tuning.sweeps.summary import Group, exceedance
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 MOST_POINTS = 4000  # of a cloud: more are a blot
 FEW_POINTS = 500  # of a cloud, below which each is drawn larger
 BINS = 24
 LEAST = 1e-12  # m, where a figure begins if no machine has an error at all
 
 
-def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
+def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> "Figure":
     """How the error is distributed over the machines, a curve for each controller; lower and further left is better."""
     figure, axis = new_figure(width=8.0, height=4.0)
     start, edge = _ends(groups, tolerance, by)
@@ -36,7 +40,7 @@ def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> A
     return figure
 
 
-def exceedance_figure(groups: Sequence[Group], tolerance: float | None, by: str) -> Any:
+def exceedance_figure(groups: Sequence[Group], tolerance: float | None, by: str) -> "Figure":
     """How probable it is that a machine misses a tolerance, over the tolerance, with its 95 % interval."""
     figure, axis = new_figure(width=8.0, height=4.0)
     start, edge = _ends(groups, tolerance, by)
@@ -62,7 +66,7 @@ def exceedance_figure(groups: Sequence[Group], tolerance: float | None, by: str)
     return figure
 
 
-def error_against(groups: Sequence[Group], name: str, unit: str, tolerance: float | None, by: str) -> Any:
+def error_against(groups: Sequence[Group], name: str, unit: str, tolerance: float | None, by: str) -> "Figure":
     """The error over a quantity that varies: each machine, and median and 95 % of a slice of them.
 
     Machines that diverged are crosses at the upper edge; a line ends where what it tells of is infinite.
@@ -119,7 +123,7 @@ def _sliced(values: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndar
     return np.array([np.mean(values[part]) for part in slices]), medians, highs
 
 
-def tornado(found: Sequence[Influence], group: Group, by: str) -> Any:
+def tornado(found: Sequence[Influence], group: Group, by: str) -> "Figure":
     """What each quantity does to the error, the strongest on top."""
     figure, axis = new_figure(width=8.5, height=1.2 + 0.35 * len(found))
     errors = group.error(by)
@@ -145,7 +149,7 @@ def _name(by: str) -> str:
     return {"rms_m": "RMS error", "peak_m": "peak error"}[by]
 
 
-def _tolerance(axis: Any, tolerance: float | None, horizontal: bool = False) -> None:
+def _tolerance(axis: "Axes", tolerance: float | None, horizontal: bool = False) -> None:
     if tolerance is not None:
         draw = axis.axhline if horizontal else axis.axvline
         draw(1e6 * tolerance, color="0.3", ls=":", label="tolerance")

@@ -184,16 +184,17 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
         with report.working("simulating"):
             simulated = machine_run(plan, machine, controller, motion)
             costs, diverged_at = repeat_costs(plan, number, controller, motion)
+            repeated_rms, repeated_peak = np.asarray(costs.rms)[0], np.asarray(costs.peak)[0]
         rms, peak = run_errors(plan, simulated)
         report.values("run", status=simulated.status.message)
-        report.values("costs", rms_um=1e6 * float(costs.rms[0]), peak_um=1e6 * float(costs.peak[0]))
-        if not np.allclose([rms, peak], [costs.rms[0], costs.peak[0]], rtol=ALIKE, atol=0.0, equal_nan=True):
+        report.values("costs", rms_um=1e6 * float(repeated_rms), peak_um=1e6 * float(repeated_peak))
+        if not np.allclose([rms, peak], [repeated_rms, repeated_peak], rtol=ALIKE, atol=0.0, equal_nan=True):
             report.say(f"{_why_different(plan)}: RMS error {1e6 * rms:.4g} um, peak error {1e6 * peak:.4g} um.")
         stored = stored_errors(plan, folder / PARTS, number, controller, motion)
         if stored is None:
             report.say("Not compared with the sweep's own numbers: they are not there, or of another edition.")
         else:
-            repeated = [float(costs.rms[0]), float(costs.peak[0]), float(diverged_at[0])]
+            repeated = [float(repeated_rms), float(repeated_peak), float(diverged_at[0])]
             alike = bool(np.array_equal(stored, repeated, equal_nan=True))
             report.keep("as_in_the_sweep", to_the_last_bit=alike)
             report.print(

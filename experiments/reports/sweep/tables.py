@@ -1,7 +1,6 @@
 """What a sweep found, as tables and as numbers for programs."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -57,8 +56,8 @@ def _range(interval: Interval, factor: float) -> str:
 
 
 def _of_groups(
-    found: Sequence[Group], columns: Sequence[str], rows: Sequence[Sequence[Any]]
-) -> tuple[list[str], list[list[Any]]]:
+    found: Sequence[Group], columns: Sequence[str], rows: Sequence[Sequence[object]]
+) -> tuple[list[str], list[list[object]]]:
     """A table whose first columns are motion and controller, without those that are the same for all."""
     several = len({one.motion for one in found}) > 1, len({one.controller for one in found}) > 1
     used = [k for k in range(len(columns)) if k > 1 or several[k]]
@@ -77,7 +76,7 @@ def verdict(found: Sequence[Group], tolerance: float | None, by: str) -> list[st
         if diverged := int(np.sum(one.diverged)):
             text += f"; {diverged} DIVERGED"
         _, [names] = _of_groups(found, ("motion", "controller"), [[one.motion, one.controller]])
-        lines.append(": ".join([*([", ".join(names)] if names else []), f"{text}."]))
+        lines.append(": ".join([*([", ".join(map(str, names))] if names else []), f"{text}."]))
     return lines
 
 
@@ -89,7 +88,9 @@ def print_sweep(
     all_groups = [one for one, _ in found]
     for sentence in verdict(all_groups, tolerance, by):
         report.print(sentence, style="bold")
-    rows, missed, listed = [], [], []
+    rows: list[list[object]] = []
+    missed: list[list[object]] = []
+    listed: list[list[object]] = []
     for one, _ in found:
         place = [one.motion, one.controller]
         for name, label in ERRORS.items():
@@ -105,7 +106,7 @@ def print_sweep(
         misses = "-" if tolerance is None else _range(exceedance(one.error(by), tolerance), 100)
         missed.append([*place, int(np.sum(one.diverged)), _stuck(one), misses])
     report.record("errors", ("motion", "controller", "um", *(f"{100 * share:g} %" for share in SHARES), "worst"), rows)
-    columns = ("motion", "controller", "error", "of machines, %", "at most, um", "95 % interval, um")
+    columns: tuple[str, ...] = ("motion", "controller", "error", "of machines, %", "at most, um", "95 % interval, um")
     report.show("Tracking error over the machines", *_of_groups(all_groups, columns, listed))
     limit = "no tolerance given" if tolerance is None else f"{ERRORS[by]} beyond {1e6 * tolerance:g} um"
     columns = ("motion", "controller", "diverged", "at the force limit", "miss the tolerance, %")
@@ -142,7 +143,7 @@ def _stuck(group: Group) -> int:
     return int(np.sum(~group.diverged & (group.column("saturated") >= STUCK)))
 
 
-def _numbers(analysed: GroupInfluences, tolerance: float | None) -> dict[str, Any]:
+def _numbers(analysed: GroupInfluences, tolerance: float | None) -> dict[str, object]:
     """What the tables say, for programs: SI units, intervals as numbers."""
     group, influences = analysed
     return {

@@ -52,7 +52,7 @@ class ReplayProblem(NamedTuple):
     unknowns: Unknowns  # where the search starts
     given: ReplayInputs
     norm: Scalar  # N, of the logged force over all samples
-    origin: Float[np.ndarray, " free"]  # of the search space
+    origin: Float[Array, " free"] | Float[np.ndarray, " free"]  # of the search space
 
 
 @dataclasses.dataclass(frozen=True)

@@ -57,7 +57,7 @@ class _CruiseData(NamedTuple):
 
     nominal: Drive
     unknowns: Unknowns
-    origin: Float[np.ndarray, " free"]
+    origin: Float[Array, " free"] | Float[np.ndarray, " free"]
     velocity: Float[Array, " b"]  # m/s
     load: Float[Array, " b"]  # N
     friction: Float[Array, " b"]  # N, damping included

@@ -27,7 +27,7 @@ class StudyDrive:
     acceleration: float
     seconds: float
     load: float = 0.0  # N, logged where it is not zero
-    hidden_controller: Mapping[str, Any] | None = None
+    hidden_controller: Mapping[str, object] | None = None
     motor_resolution: float | None = None
     mirrorable: bool = True  # whether the mirrored axis is one with the same drive file
     settling_time: float = 0.0  # s, for which the loop has held the axis before the log begins
@@ -64,7 +64,7 @@ class StudyDrive:
             return gains["kp"]
         return gains["kp"] * gains["kv"] if kind == "cascade" and not gains.get("ki") else None
 
-    def with_feedback(self, gains: Mapping[str, Any]) -> Axis:
+    def with_feedback(self, gains: Mapping[str, object]) -> Axis:
         """The same drive under a controller of the same kind with other values of these keys."""
         tables = copy.deepcopy(self.tables)
         tables["controller"] = {**copy.deepcopy(dict(self.feedback)), **gains}
@@ -92,7 +92,7 @@ PAPER_FRICTION = {
 
 def _tables(
     mass: float, damping: float | list[float], friction: Tables, resolution: float, noise: float, rate: float,
-    stroke: float, controller: Tables, **more: Any,
+    stroke: float, controller: Tables, **more: object,
 ) -> Tables:  # fmt: skip
     return {
         "plant": {"mass": mass, "damping": damping, "constant_force": more.pop("constant_force", 0.0)},

@@ -11,7 +11,7 @@ All share one interface: they begin at theta = 0, minimise one penalised number
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -181,17 +181,22 @@ def nelder_mead(
 ) -> BaselineResult:
     """Nelder-Mead. The first simplex has a corner in the start; `seed` draws whether its edges go up or down."""
     edges = INITIAL_SPREAD * np.random.default_rng(seed).choice([-1.0, 1.0], k)
-    options: dict[str, Any] = {
-        "initial_simplex": np.vstack([np.zeros(k), np.diag(edges)]),
-        "xatol": MIN_SIMPLEX,
-        "fatol": np.inf,  # the size of the simplex alone tells: costs have any scale
-        "maxiter": budget.simulations + 1,  # never reached
-        "maxfev": budget.simulations + 1,
-    }
 
     def search(evaluate: Evaluate) -> str:
+        def cost_at(theta: Float[np.ndarray, " k"]) -> float:
+            return float(evaluate(theta[None])[0])
+
         scipy.optimize.minimize(
-            lambda y: float(evaluate(y[None])[0]), np.zeros(k), method="Nelder-Mead", options=options
+            cost_at,
+            np.zeros(k),
+            method="Nelder-Mead",
+            options={
+                "initial_simplex": np.vstack([np.zeros(k), np.diag(edges)]),
+                "xatol": MIN_SIMPLEX,
+                "fatol": np.inf,  # the size of the simplex alone tells: costs have any scale
+                "maxiter": budget.simulations + 1,  # never reached
+                "maxfev": budget.simulations + 1,
+            },
         )
         return "converged: the simplex has collapsed"
 
@@ -226,7 +231,9 @@ def _block_costs(
     arrays, rest = eqx.partition(problem, eqx.is_array)
 
     def device_costs(
-        points: Float[Array, "p k"], counts: Int[Array, " one"], arrays: TuningProblem
+        points: Float[Array, "p k"] | Float[np.ndarray, "p k"],
+        counts: Int[Array, " one"] | Int[np.ndarray, " one"],
+        arrays: TuningProblem,
     ) -> Float[Array, "p three"]:
         problem = eqx.combine(arrays, rest)
 

@@ -10,7 +10,7 @@ They see a requirement once it is missed; `tuning.gains.sequential` sees it befo
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -24,7 +24,7 @@ from experiments.studies.tuning_study.baselines import BaselineResult, BaselineV
 from tuning.gains.constrained import PENALTY, ConstrainedGains, DesignPoint, TuningProblem, evaluate
 from tuning.gains.sequential import FEASIBILITY_TOLERANCE
 from tuning.optimisation.evolution import Budget
-from tuning.optimisation.least_squares import LevenbergMarquardt, with_jacobian
+from tuning.optimisation.least_squares import LevenbergMarquardt, Residuals, with_jacobian
 
 TOLERANCE = 1e-6
 NO_TAGS: frozenset[object] = frozenset()
@@ -57,6 +57,9 @@ class _Squares:
         return jnp.concatenate([*jax.tree.leaves(parts), jnp.stack(violations)])
 
 
+_Cost = _Scalar | _Squares
+
+
 def bfgs(gains: ConstrainedGains, problem: TuningProblem, budget: Budget) -> BaselineResult:
     """BFGS with Armijo's backtracking, from y = 0; an evaluation is a value with all its derivatives."""
     return _run_solver(optx.BFGS(rtol=TOLERANCE, atol=TOLERANCE), _Scalar(gains), gains, problem, budget)
@@ -67,24 +70,24 @@ def levenberg_marquardt(gains: ConstrainedGains, problem: TuningProblem, budget:
     return _run_solver(LevenbergMarquardt(rtol=TOLERANCE, atol=TOLERANCE), _Squares(gains), gains, problem, budget)
 
 
-def _options(solver: Any) -> dict[str, Any]:
+def _options(solver: Any) -> dict[str, object]:
     return {"autodiff_mode": "fwd"} if isinstance(solver, optx.BFGS) else {"jac": "fwd"}
 
 
-def _function(residuals: Callable[..., Any]) -> Callable[..., Any]:
-    linearised = with_jacobian(residuals)
+def _function(residuals: _Cost) -> Callable[[Array, TuningProblem], tuple[Array, None]]:
+    linearised = with_jacobian(cast(Residuals, residuals))
     return lambda theta, problem: (linearised(theta, problem), None)
 
 
 @eqx.filter_jit
-def _begin(solver: Any, residuals: Callable[..., Any], theta: Array, problem: TuningProblem) -> Any:
+def _begin(solver: Any, residuals: _Cost, theta: Array, problem: TuningProblem) -> Any:
     fn = _function(residuals)
     shapes = eqx.filter_eval_shape(fn, theta, problem)
     return solver.init(fn, theta, problem, _options(solver), *shapes, NO_TAGS)
 
 
 @eqx.filter_jit
-def _step(solver: Any, residuals: Callable[..., Any], theta: Array, problem: TuningProblem, state: Any) -> Any:
+def _step(solver: Any, residuals: _Cost, theta: Array, problem: TuningProblem, state: Any) -> Any:
     fn = _function(residuals)
     theta, state, _ = solver.step(fn, theta, problem, _options(solver), state, NO_TAGS)
     finished, _ = solver.terminate(fn, theta, problem, _options(solver), state, NO_TAGS)
@@ -92,7 +95,7 @@ def _step(solver: Any, residuals: Callable[..., Any], theta: Array, problem: Tun
 
 
 def _run_solver(
-    solver: Any, residuals: Callable[..., Any], gains: ConstrainedGains, problem: TuningProblem, budget: Budget
+    solver: Any, residuals: _Cost, gains: ConstrainedGains, problem: TuningProblem, budget: Budget
 ) -> BaselineResult:
     """Step by step, so that the budget is kept and the best point within the requirements is known."""
     theta = jnp.zeros(len(gains.free))

@@ -82,7 +82,7 @@ def _padded_length(case: Path) -> int:
         return 0
 
 
-def _write_answer(case: Path, path: Path, without: tuple[str, ...], answer: dict[str, Any]) -> None:
+def _write_answer(case: Path, path: Path, without: tuple[str, ...], answer: dict[str, object]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, json.dumps(answer | {"question": task_digest(case, without)}, indent=1) + "\n")
 

@@ -9,7 +9,7 @@ measurement (noise, then the scale's resolution); the PD's command follows from 
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import diffrax
 import equinox as eqx
@@ -132,8 +132,7 @@ class MachineInputs(NamedTuple):
 
 
 _RateArguments = tuple[Drive, FaultParameters, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
-_Value = Array | np.ndarray
-_Carry = tuple[MachineState, Array, _Value, Array]  # state, forces newest first, last error, count
+_Carry = tuple[MachineState, Array, Array, Array]  # state, forces newest first, last error, count
 
 
 def _window(t: Scalar, start: Scalar, end: Scalar, edge: float) -> Scalar:
@@ -263,9 +262,9 @@ def _run(
         )
     )
 
-    def sample(carry: _Carry, sample_inputs: MachineInputs) -> tuple[_Carry, tuple[_Value, _Value]]:
+    def sample(carry: _Carry, sample_inputs: MachineInputs) -> tuple[_Carry, tuple[Array, Array]]:
         state, forces, last_error, k = carry
-        reference, load, noise, disturbance, friction_share = sample_inputs
+        reference, load, noise, disturbance, friction_share = cast(tuple[Array, ...], sample_inputs)
         time = k * period
         reading = state.x + f.lead_error * jnp.cos(2 * jnp.pi * state.x / f.lead + f.lead_phase) + f.linear * state.x
         angle = 2 * jnp.pi * state.x / f.interpolation_period + f.interpolation_phase

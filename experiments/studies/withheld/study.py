@@ -7,7 +7,6 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import Any
 
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import ParameterError
@@ -43,7 +42,7 @@ def require_workers(workers: int) -> None:
 
 def check_drawn_machines(
     out: Path, count: int, seed: int, workers: int = 1, twice: bool = False, axes: tuple[str, ...] = ("paper",)
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Run or continue the check in the folder `out`, on machines drawn for these axes in turn.
 
     The answering process is given copies of logs and drive files in a folder of their own; the key is written after all
@@ -64,7 +63,7 @@ def check_drawn_machines(
         return _report_scores(report, cases, write_key(out / "key.json", parts), workers, twice)
 
 
-def check_given_machines(out: Path, cases: Path, key: Path, workers: int = 1, twice: bool = False) -> dict[str, Any]:
+def check_given_machines(out: Path, cases: Path, key: Path, workers: int = 1, twice: bool = False) -> dict[str, object]:
     """Run the check on given machines, such as a bench's: a folder for each, and the key to all."""
     require_workers(workers)
     key_entries = _checked_key(cases, key)
@@ -143,7 +142,7 @@ def _rerun(report: Report, cases: Path, name: str, exclusions: dict[str, list[st
     return {case: answers[case] for case in exclusions if case in answers}  # not those of an earlier edition
 
 
-def _report_scores(report: Report, cases: Path, key: Key, workers: int, twice: bool) -> dict[str, Any]:
+def _report_scores(report: Report, cases: Path, key: Key, workers: int, twice: bool) -> dict[str, object]:
     assert report.out is not None
     answers = read_answers(report.out / "answers")
     oracle: Answers | None = None
