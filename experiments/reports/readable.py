@@ -199,6 +199,8 @@ def _blocks(columns: list[Column], width: int) -> list[list[Column]]:
     if not columns or _fit(columns, width):
         return [columns]
     keys = _keys(columns)
+    while len(keys) > 1 and any(_needed([*keys, other], "least") > width for other in columns[len(keys) :]):
+        keys = keys[:-1]  # rows that look alike are better than lines that the terminal breaks
     blocks: list[list[Column]] = []
     rest = columns[len(keys) :]
     while rest:
