@@ -8,7 +8,7 @@ import dataclasses
 import hashlib
 from collections.abc import Callable
 from types import FunctionType
-from typing import Protocol, cast
+from typing import Protocol, cast, runtime_checkable
 
 import jax
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 Arrays = dict[str, np.ndarray]
 
 
+@runtime_checkable
 class Store(Protocol):
     """Where pieces are kept, each under its key; threads use it side by side."""
 

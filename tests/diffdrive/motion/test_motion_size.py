@@ -1,5 +1,6 @@
 """Every setting of every motion at values that nobody means: a motion, or one line, before memory or time is gone."""
 
+import inspect
 import time
 import tracemalloc
 
@@ -33,13 +34,19 @@ def little_memory(monkeypatch):
     monkeypatch.setattr(resources, "memory_available", lambda: 60e6)
 
 
+def optional_settings(name: str) -> set[str]:
+    """The settings of a motion that have a default."""
+    parameters = inspect.signature(MOTIONS[name]).parameters
+    return {key for key, parameter in parameters.items() if parameter.default is not parameter.empty}
+
+
 def strange() -> list[tuple[str, str, float]]:
     """Each setting of each motion that is a number, or a list of them, with each strange value."""
     return [
         (name, key, value)
         for name, text in SENSIBLE.items()
         for key in (*motion_recipe(f"{name}:{text}").settings, "repeats", "dwell", "start", "first_reversal", "rate")
-        if key == "rate" or key in MOTIONS[name].__kwdefaults__ or f"{key}=" in text
+        if key == "rate" or key in optional_settings(name) or f"{key}=" in text
         for value in STRANGE
     ]
 
