@@ -111,7 +111,7 @@ def test_how_many_are_held_at_once_changes_nothing(monkeypatch):
     assert len(planned.numbers(0)) > 64
     found = []
     for held in (64, 128):  # in two portions, the second of them not full, and in one
-        monkeypatch.setattr(SweepPlan, "_at_once", lambda *_, held=held: held)
+        monkeypatch.setattr(SweepPlan, "_machines_at_once", lambda *_, held=held: held)
         found.append(planned.costs_of(planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs)
     assert all(np.array_equal(one, other) for one, other in zip(*found, strict=True))
 

@@ -168,7 +168,7 @@ def test_a_machine_that_cannot_be_is_named_before_the_first_one_runs(tmp_path, v
     with pytest.raises(ParameterError, match="cannot be"):
         asked.require_possible([number // 8])
     if number % 8:
-        asked.require_machines(np.arange(number // 8 * 8, number), asked.nominal)  # those before it can be
+        asked.require_machines(np.arange(number // 8 * 8, number), asked.nominal_cycles)  # those before it can be
 
 
 def test_a_damaged_part_is_run_again_and_a_stranger_among_the_parts_is_refused(tmp_path):
