@@ -81,12 +81,13 @@ def test_random_starts_of_the_study_span_two_decades_and_stay_inside():
 
 def test_the_trail_of_a_tuning_counts_every_start_and_every_derivative():
     def found(*history):
-        return SimpleNamespace(standing=SimpleNamespace(history=history))
+        return SimpleNamespace(state=SimpleNamespace(history=history))
 
     # evaluations, linearisations, s, objective, missed: of two searches, after a look at both starts in 0.5 s
     first = found((1, 1, 1.0, 5.0, 0.0), (2, 2, 2.0, 3.0, 0.2))
     second = found((1, 1, 0.7, 2.0, 0.0))
-    trail = _evaluation_history(SimpleNamespace(starts=np.zeros(2), screening=0.5, searches=[first, second]))
+    tuned = SimpleNamespace(start_objectives=np.zeros(2), screening_seconds=0.5, searches=[first, second])
+    trail = _evaluation_history(tuned)
     assert trail == [(5, 2, 1.5, 5.0), (7, 3, 2.5, np.inf), (10, 5, 3.2, 2.0)]
     # to within 20 %, 5 % and 1 % of 2: the third alone
     assert _cost_to_reach(trail, 2.0) == [10, 3.2] * 3
