@@ -59,7 +59,7 @@ def test_the_tuner(compiled):
     evaluate(gains, y, problem)
     linearise_at(gains, y, problem)
     penalised.levenberg_marquardt(gains, problem, Budget(1, 60.0))
-    assert_native(compiled, "worth", "linearised", "_step")
+    assert_native(compiled, "evaluate", "linearise_at", "_step")
 
 
 def test_the_identification(compiled):
@@ -68,7 +68,7 @@ def test_the_identification(compiled):
     levenberg_marquardt(residuals, np.zeros(len(residuals.free)), problem, max_steps=1, tolerance=1e-3)
     multistart(residuals, np.zeros((3, len(residuals.free))), problem, steps=1)
     replay_closed_loop(axis(), CONTROLLERS["pd"], logged(axis(), CONTROLLERS["pd"]), LOGGED)
-    assert_native(compiled, "_deviances", "_filtered", "_step", "_step_lanes", "replay")
+    assert_native(compiled, "_deviances", "run_filter", "_step", "_step_lanes", "replay")
 
 
 def test_the_diagnosis(compiled):

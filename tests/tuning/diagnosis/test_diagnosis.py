@@ -15,7 +15,8 @@ from diffdrive.effects.forces import ConstantForce
 from diffdrive.logs import write_log
 from diffdrive.loop.simulate import simulate
 from diffdrive.motion.builders import from_array
-from experiments.reports.diagnosis.diagnosis import augmented_drive, diagnose_logs, write_reference
+from experiments.reports.diagnosis.diagnosis import diagnose_logs
+from experiments.reports.diagnosis.files import write_reference
 from experiments.reports.report import Report
 from experiments.studies.withheld.score import score
 from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
@@ -31,6 +32,7 @@ from tuning.diagnosis.next_experiment import next_experiment
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.verdict import Belief, Verdict
 from tuning.diagnosis.where import localise
+from tuning.diagnosis.workflow import augmented_drive
 from tuning.experiment_design.next_motion import candidates
 
 OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
