@@ -21,14 +21,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from diffdrive.support.processes import end_children
+from experiments.reports.interruption import FIRST, SECOND, SIGNALS, TOGETHER
 from experiments.reports.output_folder import close_all
 
 INTERRUPTED = 130
-# s: a command ends within 15 s of the first signal and 5 s of the second; what is left is for a busy machine to end it
-FIRST, SECOND = 11.0, 1.5
-TOGETHER = 0.5  # s: `timeout` signals a process and then its group, and so each process twice
 LAST_WORDS = 0.5  # s, that a blocked pipe or disk may hold up each of the five steps of the end
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name))
 # what commands continue from: diagnose, identify, real-axes, tune, sweep, recovery, withheld
 CONTINUED = (
     "diagnosis.parts", "identification.parts", "real-axes.parts", "tuning.checkpoint.json", "parts", "draws.jsonl",

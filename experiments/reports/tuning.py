@@ -10,8 +10,8 @@ from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.controllers import Controller
 from diffdrive.loop.linearise import OperatingPoint
 from diffdrive.model.parameters import quantities
-from experiments.cli.interruption import stop_at_next_step
 from experiments.reports import readable
+from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
 from tuning.gains.handover import LABELS, handover, worst_margins, write_handover

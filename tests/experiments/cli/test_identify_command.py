@@ -15,11 +15,11 @@ from diffdrive.axis_file.drive_file import read_axis, write_axis
 from diffdrive.errors import LogError, MotionError, ParameterError
 from diffdrive.logs import read_log, write_log
 from diffdrive.logs.write import write_csv
-from experiments.cli import interruption
-from experiments.cli.interruption import stop_at_next_step
 from experiments.cli.main import app
+from experiments.reports import interruption
 from experiments.reports.checked_logs import read_sound_logs
 from experiments.reports.identification.identification import parse_bounds
+from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.readable import interval, readable, significant
 from experiments.reports.report import Report
 from experiments.studies.emps import axis as emps

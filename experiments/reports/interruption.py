@@ -6,15 +6,21 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from types import FrameType
+from typing import ParamSpec
 
-from experiments.cli.ending import FIRST, SIGNALS, TOGETHER
-from tuning.optimisation.least_squares import StepProgress
+# s: a command ends within 15 s of the first signal and 5 s of the second; what is left is for a busy machine to end it
+FIRST, SECOND = 11.0, 1.5
+TOGETHER = 0.5  # s: `timeout` signals a process and then its group, and so each process twice
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name))
 
+Arguments = ParamSpec("Arguments")
 SignalHandler = Callable[[int, FrameType | None], object] | int | signal.Handlers | None
 
 
 @contextlib.contextmanager
-def stop_at_next_step(progress: StepProgress, say: Callable[[str], None]) -> Iterator[StepProgress]:
+def stop_at_next_step(
+    progress: Callable[Arguments, None], say: Callable[[str], None]
+) -> Iterator[Callable[Arguments, None]]:
     """Yields `progress` for a search: after a Ctrl-C it ends the search between two steps, where that keeps its best.
 
     SIGTERM is taken like it. What comes after the search (covariance, intervals) is still computed, as far as the time
@@ -38,8 +44,8 @@ def stop_at_next_step(progress: StepProgress, say: Callable[[str], None]) -> Ite
                 raise KeyboardInterrupt
             handler(number, frame)  # which raises once: a further one must not break the writing of results
 
-    def step(count: int, most: int, cost: float) -> None:
-        progress(count, most, cost)
+    def step(*arguments: Arguments.args, **named: Arguments.kwargs) -> None:
+        progress(*arguments, **named)
         if first is not None:
             raise KeyboardInterrupt
 
