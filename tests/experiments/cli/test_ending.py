@@ -26,15 +26,18 @@ print("begun", flush=True)
 """
 
 
-def ended(program, folder, *signals, apart=0.6, imports=""):
-    """Exit code, what it said, and the seconds that it took from the last of the signals."""
+def ended(program, folder, *signals, apart=0.6, imports="", ready="begun"):
+    """Exit code, what it said, and the seconds that it took from the last of the signals.
+
+    The first comes when the program has printed `ready`, a busy machine or not.
+    """
     with subprocess.Popen(
         [sys.executable, "-c", imports + BEGIN + program, str(folder)],
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     ) as process:
-        assert process.stdout.readline() == "begun\n"
+        assert f"{ready}\n" in iter(process.stdout.readline, "")
         time.sleep(0.1)
         for number, one in enumerate(signals):
             time.sleep(apart * bool(number))
@@ -130,9 +133,10 @@ def test_the_folder_is_that_of_the_option(words):
 
 
 def test_a_third_signal_does_not_break_the_writing_that_the_second_one_set_going(tmp_path):
-    imports = (
-        "from experiments.cli.interruption import stop_at_next_step\nfrom experiments.reports.report import Report\n"
-    )
+    imports = """
+from experiments.reports.interruption import stop_at_next_step
+from experiments.reports.report import Report
+"""
     program = """
 ending.FIRST = ending.SECOND = 60.0
 fsync = os.fsync
@@ -144,19 +148,20 @@ try:
         report.values("kept", number=1)
         os.fsync = slow
         with stop_at_next_step(lambda *_: None, print):
+            print("ready", flush=True)
             for _ in range(600): time.sleep(0.1)
 except KeyboardInterrupt:
     pass
 """
-    code, _, _ = ended(program, tmp_path, signal.SIGINT, signal.SIGINT, signal.SIGINT, apart=0.8, imports=imports)
+    code, _, _ = ended(program, tmp_path, *[signal.SIGINT] * 3, apart=0.8, imports=imports, ready="ready")
     assert code == 0
     assert '"number": 1' in (tmp_path / "result.json").read_text()
 
 
 def test_a_folder_that_was_made_for_nothing_is_gone_after_a_hard_end(tmp_path):
     imports = "from experiments.reports.report import Report\n"
-    program = 'with Report("nothing yet", Path(sys.argv[1])): computes()'
-    code, said, _ = ended(program, tmp_path / "made" / "here", signal.SIGINT, imports=imports)
+    program = 'with Report("nothing yet", Path(sys.argv[1])): print("ready", flush=True); computes()'
+    code, said, _ = ended(program, tmp_path / "made" / "here", signal.SIGINT, imports=imports, ready="ready")
     assert code == 130
     assert said.endswith("it had written nothing\n")
     assert not (tmp_path / "made").exists()
