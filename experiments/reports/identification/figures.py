@@ -13,10 +13,10 @@ from diffdrive.logs import Log
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Drive
 from experiments.reports.identification.forest import forest
-from experiments.reports.identification.modelled_friction import gap_free_pieces, modelled_hysteresis
 from experiments.reports.report import Report, new_figure, plain_logarithmic
 from tuning.identification.curves import hysteresis_curves, stribeck_curves
 from tuning.identification.identify import Identification
+from tuning.identification.modelled_friction import gap_free_pieces, modelled_hysteresis
 from tuning.identification.uncertainty import autocorrelation
 
 LAGS = 100

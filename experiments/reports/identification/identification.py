@@ -17,7 +17,7 @@ from experiments.reports import readable
 from experiments.reports.axis_file import write_axis_file
 from experiments.reports.checked_logs import axis_with_overrides, parse_loads, read_sound_logs
 from experiments.reports.identification.figures import save_identification_figures
-from experiments.reports.identification.gaps import gap_table
+from experiments.reports.identification.gap_table import gap_table
 from experiments.reports.identification.left_open import write_uncertainty
 from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.report import Report

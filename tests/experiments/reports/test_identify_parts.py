@@ -8,12 +8,12 @@ import numpy as np
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.loop.simulate import simulate
 from experiments.reports.identification.forest import forest
-from experiments.reports.identification.modelled_friction import gap_free_pieces, modelled_friction
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.emps import axis as emps
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
 from tests.support.sound_log import RATE, axis_of, simulate_log
 from tuning.identification.estimates import ParameterEstimate
+from tuning.identification.modelled_friction import gap_free_pieces, modelled_friction
 from tuning.identification.problem import lanes_of
 
 TRUE = axis_of()

@@ -1,7 +1,6 @@
 """How far a drive is from a log, before and after identification, by measures that are the same for both."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,20 +11,17 @@ from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, as_arrays
-from experiments.reports.report import Report
 from tuning.identification.prediction import constant_gains, predict
 from tuning.identification.problem import FINE_SUBSTEP, lanes_of, sampling_of
-from tuning.identification.replay import drift_note, replay_closed_loop, replay_open_loop
+from tuning.identification.replay import replay_closed_loop, replay_open_loop
 
 BANDWIDTH = 1000.0  # rad/s of the correction, above the fastest growth on a falling Stribeck curve; less where slow
 FORGOTTEN = 0.05  # s, in which the unknown velocity at the beginning is corrected
-NOTABLY = 1.01  # times a gap, from which another is larger
 SMOOTHING = 0.02  # s, over which a missing force is averaged: below that it is the noise of the position
 
 # what a drive makes of a log: the description with that drive in it, its delay (control periods), the log -> numbers
 # by name, the unit in the name
 Measure = Callable[[Axis, float, Log], dict[str, float]]
-GapRow = tuple[str, str, str, float, float]  # log, its role, the gap, the drive file's and the identified drive's
 
 _predict = eqx.filter_jit(predict)
 
@@ -71,46 +67,3 @@ MEASURES: tuple[Measure, ...] = (prediction_gaps, replay_gaps)
 def delay_of(drive: Drive) -> float:
     """Control periods between a command and its force, as the drive says."""
     return drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
-
-
-def _larger(rows: Sequence[GapRow]) -> list[str]:
-    """Why a gap is larger with the identified drive, where one is."""
-    larger = [f"{log}, {gap.rpartition(',')[0]}" for log, _, gap, was, now in rows if now > NOTABLY * was]
-    if not larger:
-        return []
-    return [
-        f"Larger with the identified drive: {'; '.join(dict.fromkeys(larger))}. The search minimises the one-step "
-        "prediction of the logs that it is given, weighted by its noise; in closed and in open loop, and on other "
-        "logs, what the model lacks may weigh otherwise, and where both drives are at the noise their order is chance."
-    ]
-
-
-def gap_table(
-    report: Report,
-    description: Axis,
-    identified: Drive,
-    delay: float,
-    logs: Sequence[Log],
-    held_out: Sequence[Log],
-) -> None:
-    """Print each measure on each log for the drive file's drive and for the `identified` one; nothing is refitted.
-
-    The controller is the drive file's in both cases, with the model that it had when the logs were made.
-    """
-    rows: list[GapRow] = []
-    with report.working("the gap before and after"):
-        for role, several in (("identified from", logs), ("held out", held_out)):
-            for log in several:
-                for measure in MEASURES:
-                    was = measure(description, delay_of(description.drive), log)
-                    now = measure(replace(description, drive=identified), delay, log)
-                    rows += [(log.name, role, name, was[name], now[name]) for name in was]
-    report.table(
-        "gaps",
-        ("log", "role", "gap", "drive file", "identified"),
-        rows,
-        "The gap to the logs, RMS",
-        notes=_larger(rows),
-    )
-    note = drift_note(identified)
-    report.say(f"{note[0].upper()}{note[1:]}.")

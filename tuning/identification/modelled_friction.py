@@ -11,9 +11,9 @@ from jaxtyping import Float
 
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, as_arrays
-from experiments.reports.identification.gaps import delay_of
 from tuning.identification.curves import HysteresisCurves, hysteresis_curves
 from tuning.identification.friction_along import friction_along
+from tuning.identification.gaps import delay_of
 from tuning.identification.problem import MIN_LANE_SAMPLES
 
 
