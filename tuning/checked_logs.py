@@ -40,6 +40,15 @@ def as_logs(axis: Axis, sources: object) -> tuple[Log, ...]:
     return tuple(source if isinstance(source, Log) else read_log(source, axis) for source in listed)
 
 
+def checked(
+    axis: Axis, logs: object, *, loads: Mapping[str, float] | None = None, checked_before: Sequence[Log] = ()
+) -> CheckedLogs:
+    """`check_logs` of what `as_logs` takes; logs that were looked over are left as they are."""
+    if isinstance(logs, CheckedLogs):
+        return logs
+    return check_logs(axis, as_logs(axis, logs), loads=loads, checked_before=checked_before)
+
+
 def check_logs(
     axis: Axis,
     logs: Sequence[Log],

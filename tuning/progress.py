@@ -36,5 +36,20 @@ def reporting(progress: Progress | None) -> Iterator[Progress]:
         yield advance
 
 
+@contextlib.contextmanager
+def searching(tell: Progress, stage: str) -> Iterator[Callable[[int, int, float], None]]:
+    """A search's steps as a stage, complete when the search ends: it may converge before its last step."""
+    last = 0
+
+    def step(done: int, most: int, _cost: float) -> None:
+        nonlocal last
+        last = done
+        tell(stage, done, most)
+
+    yield step
+    if last:
+        tell(stage, last, last)
+
+
 def _is_watched() -> bool:
     return "ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", lambda: False)())

@@ -87,14 +87,14 @@ def read_sound_logs(
     force: bool,
     loads: Mapping[str, float] | None = None,
     beside: Sequence[Log] = (),
-) -> tuple[Log, ...]:
+) -> CheckedLogs:
     """Logs that were `read_and_check`; raises `LogError` for a fatal finding, too, unless it is to go on by `force`."""
     checked = read_and_check(paths, description, report, name=name, loads=loads, beside=beside)
     if not force:
         require_sound(checked, "--force identifies all the same, and fits that as mass or friction")
     if checked.fatal:
         report.say("FORCED over fatal findings: what follows is wrong as far as they are right.")
-    return checked.logs
+    return checked
 
 
 def parse_loads(texts: Sequence[str], paths: Sequence[Path]) -> dict[str, float]:

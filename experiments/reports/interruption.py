@@ -23,11 +23,14 @@ def stop_at_next_step(
 ) -> Iterator[Callable[Arguments, None]]:
     """Yields `progress` for a search: after a Ctrl-C it ends the search between two steps, where that keeps its best.
 
-    SIGTERM is taken like it. What comes after the search (covariance, intervals) is still computed, as far as the time
+    It raises `KeyboardInterrupt` once: what comes after the search goes on, and reports progress, too.
+
+    SIGTERM is taken like it. What comes after the search (covariance, verification) is computed as far as the time
     allows that `ending.SignalWatch` leaves. A second one stops at once. Signals reach only the main thread; in another
     this changes nothing.
     """
     first: float | None = None
+    ended = False
     before: dict[signal.Signals, SignalHandler] = {}
 
     def ask(number: int, frame: FrameType | None) -> None:
@@ -45,8 +48,10 @@ def stop_at_next_step(
             handler(number, frame)  # which raises once: a further one must not break the writing of results
 
     def step(*arguments: Arguments.args, **named: Arguments.kwargs) -> None:
+        nonlocal ended
         progress(*arguments, **named)
-        if first is not None:
+        if first is not None and not ended:
+            ended = True
             raise KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread():

@@ -12,9 +12,7 @@ from experiments.reports.axis_file import write_axis_file
 from experiments.reports.diagnosis.figures import save_diagnosis_figures
 from experiments.reports.diagnosis.files import write_augmented, write_reference
 from experiments.reports.diagnosis.page import print_answers, write_page
-from experiments.reports.identification.figures import save_identification_figures
-from experiments.reports.identification.identification import print_identification
-from experiments.reports.identification.left_open import write_uncertainty
+from experiments.reports.identification.identification import report_identification
 from experiments.reports.report import Report
 from experiments.reports.simulation import run_figure, write_run
 from experiments.reports.sweep.sweep import save_sweep_figures
@@ -70,10 +68,7 @@ def _(result: Run, writer: Report) -> None:
 
 @section.register
 def _(result: IdentificationResult, writer: Report) -> None:
-    print_identification(writer, result.fit)
-    write_uncertainty(_out(writer), result.fit)
-    write_axis_file(writer, result.axis, "identified.toml")
-    save_identification_figures(writer, result.fit, result.initial_axis.drive, result.logs.logs)
+    report_identification(writer, result)
 
 
 @section.register

@@ -1,6 +1,8 @@
 """How far a drive is from a log, before and after identification, by measures that are the same for both."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -67,3 +69,28 @@ MEASURES: tuple[Measure, ...] = (prediction_gaps, replay_gaps)
 def delay_of(drive: Drive) -> float:
     """Control periods between a command and its force, as the drive says."""
     return drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
+
+
+class Gap(NamedTuple):
+    """How far the axis as believed and the identified one are from a log, by one measure (the unit in its name)."""
+
+    log: str
+    role: str  # "identified from" or "held out"
+    measure: str
+    before: float
+    after: float
+
+
+def gaps(before: Axis, after: Drive, delay: float, logs: Sequence[Log], role: str) -> list[Gap]:
+    """Each measure on each log, with the drive as believed and with the one `after`; nothing is refitted.
+
+    The controller is the one `before`, with the model that it had when the logs were made. `delay` is that of `after`,
+    in control periods.
+    """
+    found = []
+    for log in logs:
+        for measure in MEASURES:
+            was = measure(before, delay_of(before.drive), log)
+            now = measure(replace(before, drive=after), delay, log)
+            found += [Gap(log.name, role, name, was[name], now[name]) for name in was]
+    return found

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -9,14 +10,15 @@ import numpy as np
 from diffdrive.axis import Axis
 from diffdrive.errors import ParameterError
 from diffdrive.results import Result, Status
-from tuning.checked_logs import CheckedLogs, as_logs, check_logs, require_sound
+from tuning.checked_logs import CheckedLogs, checked, require_sound
+from tuning.experiment_design.next_motion import Proposal, propose_motions
 from tuning.identification.estimates import ParameterEstimate
+from tuning.identification.gaps import Gap, gaps
 from tuning.identification.identify import Identification
 from tuning.identification.identify import identify as fit_drive
-from tuning.identification.ranges import NAMES
 from tuning.identification.refinement import was_interrupted
 from tuning.identification.scale_noise import unstated_noise
-from tuning.progress import Progress, reporting
+from tuning.progress import Progress, reporting, searching
 from tuning.store.store import Store
 
 PLANT = ("mass", "constant_force")
@@ -28,13 +30,15 @@ class IdentificationResult(Result):
     """The axis that logs tell, and how sure each of its parameters is.
 
     `axis` has the identified machine, and a controller that believes in it. `estimates` are the parameters one by one;
-    `fit` has the rest: covariance, residuals, adequacy. Not ok: the search did not converge.
+    `fit` has the rest: covariance, residuals, adequacy. `held_out` are logs that were only looked at afterwards, by
+    `gaps`. Not ok: the search did not converge.
     """
 
     axis: Axis
     estimates: tuple[ParameterEstimate, ...]
     fit: Identification
     logs: CheckedLogs
+    held_out: CheckedLogs
     notes: tuple[str, ...]
     initial_axis: Axis  # before
     status: Status
@@ -65,6 +69,26 @@ class IdentificationResult(Result):
     def undetermined(self) -> tuple[str, ...]:
         """The parameters that the logs do not determine: they stay as they were."""
         return tuple(estimate.name for estimate in self.estimates if estimate.status == "not determined")
+
+    @cached_property
+    def gaps(self) -> tuple[Gap, ...]:
+        """How far the axis is from each log, held out or not, before and after: some simulations of each log."""
+        found, delay = self.axis.drive, self.estimate("delay").value
+        return (
+            *gaps(self.initial_axis, found, delay, self.logs.logs, "identified from"),
+            *gaps(self.initial_axis, found, delay, self.held_out.logs, "held out"),
+        )
+
+    @cached_property
+    def next_motions(self) -> tuple[Proposal, ...]:
+        """For each parameter that the logs leave open, the motion that would determine it: some simulations of each.
+
+        Fewer where the axis's limits leave no motion, or no controller is known that could be simulated.
+        """
+        if not self.fit.undetermined or self.fit.search.status != "converged":
+            return ()
+        axis = self.initial_axis
+        return tuple(propose_motions(self.fit, axis.controller, axis.sampling, axis.limits))
 
     def headline(self) -> str:
         fitted = [estimate for estimate in self.estimates if estimate.status == "fitted"]
@@ -102,6 +126,7 @@ def identify(
     fixed: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     loads: Mapping[str, float] | None = None,
+    held_out: object | None = None,
     starts: int = 6,
     seed: int = 0,
     force: bool = False,
@@ -115,10 +140,12 @@ def identify(
 
     Args:
         axis: What is believed of the machine; names the controller and the sampling, too.
-        logs: One or several of `Log`, files, data frames or dicts of arrays [n], all at the controller's rate.
+        logs: One or several of `Log`, files, data frames or dicts of arrays [n], all at the controller's rate; or
+            `CheckedLogs`, which are not looked over again.
         fixed: Parameters that stay as they are, by path (`plant.mass`) or name.
         bounds: Lowest and highest values of parameters, in SI units.
         loads: Force on the guides (N) by the log's name, where the log does not say it.
+        held_out: Logs that are only looked at afterwards, in `gaps`.
         starts: Starting points of the search.
         seed: Of the starting points.
         force: Identify from logs that would mislead, all the same.
@@ -128,7 +155,7 @@ def identify(
 
     Raises:
         LogError: A log cannot be used, or would mislead.
-        ParameterError: No parameter has this name.
+        ParameterError: No parameter has this name, or the axis has effects, of which identification knows none.
         ResultError: The search did not converge, with `throw`.
 
     Examples:
@@ -137,29 +164,36 @@ def identify(
         >>> fit.axis.write("identified.toml")
 
     """
-    checked = check_logs(axis, as_logs(axis, logs), loads=loads)
+    if effects := [effect.name for effect in axis.drive.effects]:
+        raise ParameterError(
+            f"{axis.name}: [effects] {', '.join(effects)}: identification knows no effects; take them out, or diagnose"
+        )
+    used = checked(axis, logs, loads=loads)
+    others = CheckedLogs((), ()) if held_out is None else checked(axis, held_out, loads=loads, checked_before=used.logs)
     if not force:
-        require_sound(checked, "force=True identifies all the same, and fits that as mass or friction")
+        for several in (used, others):
+            require_sound(several, "force=True identifies all the same, and fits that as mass or friction")
     names = {_parameter_name(name): limits for name, limits in (bounds or {}).items()}
-    with reporting(progress) as tell:
+    with reporting(progress) as tell, searching(tell, "fitting friction, mass and delay") as step:
         found = fit_drive(
-            checked.logs, axis.drive, fixed=[_parameter_name(name) for name in fixed], bounded=names, starts=starts,
-            seed=seed, store=store, progress=lambda step, most, _: tell("searching", step, most),
+            used.logs, axis.drive, fixed=[_parameter_name(name) for name in fixed], bounded=names, starts=starts,
+            seed=seed, store=store, progress=step,
         )  # fmt: skip
-    result = identification_result(axis, found, checked)
+    result = _result(axis, found, used, others)
     return result.require_ok() if throw else result
 
 
-def identification_result(axis: Axis, found: Identification, checked: CheckedLogs) -> IdentificationResult:
+def _result(axis: Axis, found: Identification, used: CheckedLogs, held_out: CheckedLogs) -> IdentificationResult:
     """The result, with what is to be said of it."""
     ok = found.search.status == "converged"
     code = CODES.get(found.status, "interrupted" if was_interrupted(found.search) else "not_converged")
-    notes = [f"{log}: {finding.message}; {finding.remedy}" for log, finding in checked.notable]
+    findings = [*used.notable, *held_out.notable]
+    notes = [f"{log}: {finding.message}; {finding.remedy}" for log, finding in findings]
     notes += [*found.notes, found.adequacy.says]
     unstated = unstated_noise(axis.drive, found.noise)
     notes += [unstated] if unstated else []
     return IdentificationResult(
-        replace(axis.with_drive(found.drive), name="identified"), tuple(found.estimates), found, checked,
+        replace(axis.with_drive(found.drive), name="identified"), tuple(found.estimates), found, used, held_out,
         tuple(notes), axis, Status(ok, found.status, code=code),
     )  # fmt: skip
 
@@ -168,6 +202,3 @@ def _parameter_name(path: str) -> str:
     """The name of a parameter that is given by its path in the axis."""
     part, _, name = path.partition(".")
     return name if name and part in ("plant", "friction", "actuator") else path
-
-
-__all__ = ["NAMES", "IdentificationResult", "identify"]

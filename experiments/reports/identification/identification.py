@@ -1,16 +1,13 @@
 """`diffdrive identify`: the drive that logs tell, how sure each parameter is, and whether the model suffices."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
-from diffdrive.errors import DiffdriveError, DriveFileError, ParameterError
-from diffdrive.logs import Log
+from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.model.parameters import Drive, quantities
 from diffdrive.motion.text import number
 from experiments.reports import readable
@@ -21,14 +18,14 @@ from experiments.reports.identification.gap_table import gap_table
 from experiments.reports.identification.left_open import write_uncertainty
 from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.report import Report
-from tuning.experiment_design.next_motion import propose_motions
 from tuning.identification import inverse_dynamics
 from tuning.identification.estimates import ParameterEstimate
-from tuning.identification.identify import Identification, identify
+from tuning.identification.identify import Identification
 from tuning.identification.inverse_dynamics import MIN_SPEED
 from tuning.identification.ranges import BOUNDABLE, NAMES
 from tuning.identification.refinement import was_interrupted
 from tuning.identification.scale_noise import unstated_noise
+from tuning.identification.workflow import IdentificationResult, identify
 from tuning.store.folder import FolderStore
 
 SEARCHED = {searched: name for name, searched in NAMES.items()} | {"coulomb": "coulomb_at_no_load"}
@@ -58,49 +55,47 @@ def identify_drive(
     `columns`, `units`, `shifts`, `fixed`, `bounds`, `loads` are texts as on the command line. Raises `DriveFileError`,
     `LogError` and `ParameterError`, one line each.
     """
-    description = axis_with_overrides(drive, columns, units, shifts, [*paths, *held_out])
-    if effects := [effect.name for effect in description.drive.effects]:
-        raise DriveFileError(
-            f"{drive}: [effects] {', '.join(effects)}: identification knows no effects; take the table out, or diagnose"
-        )
-    bounded = parse_bounds(bounds, description.drive)
+    axis = axis_with_overrides(drive, columns, units, shifts, [*paths, *held_out])
+    bounded = parse_bounds(bounds, axis.drive)
     _require_known(fixed, "--fix", NAMES)
     applied = parse_loads(loads, [*paths, *held_out])
     with Report(f"{drive.name}: identification from {', '.join(path.name for path in paths)}", out) as report:
-        checked = partial(read_sound_logs, description=description, report=report, force=force, loads=applied)
+        checked = partial(read_sound_logs, description=axis, report=report, force=force, loads=applied)
         logs = checked(paths, name="findings")
-        others = checked(held_out, name="findings_held_out", beside=logs) if held_out else ()
-        _inverse_dynamics(report, logs, others)
+        others = checked(held_out, name="findings_held_out", beside=logs.logs) if held_out else None
         parts = FolderStore.in_folder(out, PARTS)
-        with (
-            report.progress(f"fitting friction, mass and delay to {', '.join(log.name for log in logs)}", 1) as advance,
-            stop_at_next_step(advance, report.say) as progress,
-        ):
-            found = identify(
-                logs, description.drive, fixed=fixed, bounded=bounded, starts=starts, seed=seed, store=parts,
-                progress=progress,
+        with report.stages() as advance, stop_at_next_step(advance, report.say) as progress:
+            result = identify(
+                axis, logs, held_out=others, fixed=fixed, bounds=bounded, starts=starts, seed=seed, force=force,
+                store=parts, progress=progress,
             )  # fmt: skip
         if parts is not None and parts.hits:
             report.print(f"{parts.hits} finished searches of an interrupted identification were used.")
-        if report.out is not None:
-            if name := write_axis_file(report, replace(description, drive=found.drive), "identified.toml"):
-                report.keep("written", file=name)
-            write_uncertainty(report.out, found)
-        print_identification(report, found)
-        if was_interrupted(found.search) and parts is not None and parts.folder.exists():
+        stopped = was_interrupted(result.fit.search)
+        if stopped and parts is not None and parts.folder.exists():
             report.say(f"The same command continues the search from {PARTS}.")
-        if unstated := unstated_noise(description.drive, found.noise):
-            report.say(unstated)
-        if found.search.status == "converged":
-            _next_motions(report, found, description)
-        gap_table(report, description, found.drive, _delay(found), logs, others)
-        _show_inverse_dynamics(report)
-        if report.out is not None:
-            with report.working("drawing"):
-                save_identification_figures(report, found, description.drive, logs)
-        if parts is not None and not was_interrupted(found.search):  # while no other run may write here
+        report_identification(report, result)
+        if parts is not None and not stopped:  # while no other run may write here
             parts.remove()
-    return found.search.status == "converged"
+    return result.status.ok
+
+
+def report_identification(report: Report, result: IdentificationResult) -> None:
+    """The identified axis, how sure it is, what it is worth on each log, and what to log next; figures and files."""
+    if report.out is not None:
+        if name := write_axis_file(report, result.axis, "identified.toml"):
+            report.keep("written", file=name)
+        write_uncertainty(report.out, result.fit)
+    print_identification(report, result.fit)
+    if unstated := unstated_noise(result.initial_axis.drive, result.fit.noise):
+        report.say(unstated)
+    if result.status.ok:
+        _next_motions(report, result)
+    gap_table(report, result)
+    _inverse_dynamics(report, result)
+    if report.out is not None:
+        with report.working("drawing"):
+            save_identification_figures(report, result.fit, result.initial_axis.drive, result.logs.logs)
 
 
 def parse_bounds(texts: Sequence[str], drive: Drive) -> dict[str, tuple[float, float]]:
@@ -130,8 +125,9 @@ def _require_known(names: Sequence[str], option: str, known: Iterable[str]) -> N
             raise ParameterError(f"{option} {name}: no such parameter; known: {', '.join(known)}")
 
 
-def _inverse_dynamics(report: Report, logs: Sequence[Log], held_out: Sequence[Log]) -> None:
+def _inverse_dynamics(report: Report, result: IdentificationResult) -> None:
     """What the reference method says, which knows neither a bristle nor a delay."""
+    logs, held_out = result.logs.logs, result.held_out.logs
     try:
         found = inverse_dynamics.identify(logs, min_speed=MIN_SPEED)
         others = inverse_dynamics.evaluate(found, held_out).error_percent if held_out else None
@@ -149,12 +145,8 @@ def _inverse_dynamics(report: Report, logs: Sequence[Log], held_out: Sequence[Lo
     )
     for note in found.notes:
         report.say(f"inverse dynamics: {note}")
-
-
-def _show_inverse_dynamics(report: Report) -> None:
-    if "inverse_dynamics" in report.data:
-        report.print("\nFor comparison, fitted by least squares, without bristle and delay")
-        report.show_numbers("inverse_dynamics")
+    report.print("\nFor comparison, fitted by least squares, without bristle and delay")
+    report.show_numbers("inverse_dynamics")
 
 
 def print_identification(report: Report, found: Identification) -> None:
@@ -256,15 +248,16 @@ def print_remarks(report: Report, found: Identification) -> None:
         report.say(f"At the bound of their range, so the optimum may lie beyond: {', '.join(at_bound)}.")
 
 
-def _next_motions(report: Report, found: Identification, description: Axis) -> None:
+def _next_motions(report: Report, result: IdentificationResult) -> None:
     """Which motion would determine what these logs leave open."""
-    if not found.undetermined:
+    undetermined = result.fit.undetermined
+    if not undetermined:
         return
     with report.working("looking for the motions that would determine them"):
-        offers = propose_motions(found, description.controller, description.sampling, description.limits)
-    if isinstance(description.controller, UnknownController):
+        offers = result.next_motions
+    if isinstance(result.initial_axis.controller, UnknownController):
         report.say("No motion is proposed: without a controller none can be simulated.")
-    elif len(offers) < len(found.undetermined):
+    elif len(offers) < len(undetermined):
         report.say("No motion is proposed: the axis limits leave none of those that would be tried.")
     if not offers:
         return
@@ -289,8 +282,3 @@ def _named(path: str) -> str:
     """A path of the search space under the name of the table of estimates."""
     stem, dot, side = path.partition(".")
     return f"{SEARCHED[stem]}{dot}{side}"
-
-
-def _delay(found: Identification) -> float:
-    """The delay found (control periods); below zero where the command was logged late, which no drive file can say."""
-    return next(one.value for one in found.estimates if one.name == "delay")

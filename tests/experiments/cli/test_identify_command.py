@@ -172,7 +172,7 @@ def test_a_log_without_a_column_for_its_load_is_told_it(folder, tmp_path):
     with Report("loads", tmp_path) as report:
         given = {"other.csv": 8e3}
         paths = [folder / "lap.csv", folder / "other.csv"]
-        lap, other = read_sound_logs(paths, TRUE, report, name="findings", force=False, loads=given)
+        lap, other = read_sound_logs(paths, TRUE, report, name="findings", force=False, loads=given).logs
         assert lap.load is None
         assert np.all(other.load == 8e3)
         write_log(tmp_path / "loaded.csv", other)
@@ -243,7 +243,9 @@ def test_a_simulated_run_needs_no_unit_beside_a_force_per_volt(folder, tmp_path)
     simulate = ["simulate", str(drive), "--motion", motion, "--out", str(tmp_path / "run")]
     assert CliRunner().invoke(app, simulate).exit_code == 0
     with Report("simulated", None) as report:
-        (log,) = read_sound_logs([tmp_path / "run" / "run.csv"], read_axis(drive), report, name="findings", force=False)
+        (log,) = read_sound_logs(
+            [tmp_path / "run" / "run.csv"], read_axis(drive), report, name="findings", force=False
+        ).logs
     assert np.array_equal(log.command, read_log(tmp_path / "run" / "run.csv").command)
 
 
@@ -287,7 +289,8 @@ def test_ctrl_c_ends_the_search_at_its_next_step_and_a_second_one_at_once(monkey
             progress(2, 9, 1.0)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-    assert [step[0] for step in steps] == [1, 2]
+        progress(3, 9, 1.0)  # of what comes after the search
+    assert [step[0] for step in steps] == [1, 2, 3]
     assert "best so far is written" in said[0]
     assert signal.getsignal(signal.SIGINT) is handler
 
@@ -295,10 +298,7 @@ def test_ctrl_c_ends_the_search_at_its_next_step_and_a_second_one_at_once(monkey
 def test_an_interrupted_identification_keeps_the_best_so_far_and_ends_with_3_and_continues(
     identified, folder, monkeypatch, tmp_path
 ):
-    def interrupted(self, what, total):
-        return _interrupting()
-
-    monkeypatch.setattr(Report, "progress", interrupted)
+    monkeypatch.setattr(Report, "stages", lambda self: _interrupting())
     out = tmp_path / "out"
     command = (folder / "lap.csv", "--drive", folder / "drive.toml", *QUESTION, "--out", out)
     result = run(*command)
