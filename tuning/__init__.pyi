@@ -1,6 +1,8 @@
 from .diagnosis.workflow import Cause, DiagnosisResult, diagnose
 from .gains.objective import Objective, register_aggregation
-from .gains.workflow import Requirements, TuningResult, tune
+from .gains.requirements import Requirements
+from .gains.result import TuningResult
+from .gains.workflow import tune
 from .identification.workflow import IdentificationResult, identify
 from .sweeps.workflow import SweepResult, sweep
 

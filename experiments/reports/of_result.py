@@ -19,7 +19,8 @@ from experiments.reports.sweep.sweep import save_sweep_figures
 from experiments.reports.sweep.tables import print_sweep
 from experiments.reports.tuning import gains_table, loop_figures, margins_table, tuning_figure, verification_table
 from tuning.diagnosis.workflow import DiagnosisResult
-from tuning.gains.workflow import TuningResult, margins_at
+from tuning.gains.result import TuningResult
+from tuning.gains.verification import margins_at
 from tuning.identification.workflow import IdentificationResult
 from tuning.sweeps.summary import groups
 from tuning.sweeps.workflow import SweepResult, as_dataset, group_influences

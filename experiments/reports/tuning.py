@@ -18,18 +18,16 @@ from tuning.gains.handover import LABELS, handover, worst_margins, write_handove
 from tuning.gains.objective import Objective
 from tuning.gains.plan import ScenarioResult, TuningPlan, run_scenario
 from tuning.gains.requirements import Constraints, LoopLimits
+from tuning.gains.result import remarks, tuned_axis
 from tuning.gains.scenarios import Ensemble, Scenario
+from tuning.gains.setup import TuningSetup, set_up
 from tuning.gains.tune import STARTS, GainSearch, default_space, require_starts, tune
-from tuning.gains.workflow import (
+from tuning.gains.verification import (
     ControllerMargins,
     ScenarioComparison,
-    TuningSetup,
     is_accepted,
     margins_at,
     noise_warning,
-    remarks,
-    set_up,
-    tuned_axis,
     verify,
 )
 

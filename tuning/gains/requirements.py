@@ -4,6 +4,7 @@ Every requirement is a number that must not be positive: how far it is exceeded,
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import equinox as eqx
@@ -54,6 +55,38 @@ def check_limits(limits: LoopLimits) -> None:
             raise ParameterError(
                 f"the limit {name} must be at most {most:.2g}, beyond which gains are lost in rounding"
             )
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What the tuned loop must keep, at every speed, direction and load; None: not required.
+
+    Margins are those of the linearised loop, delay and observer included. `command_noise` is the RMS of the command's
+    change from sample to sample over the square root of two; by default twice that of the gains as given. `load_error`
+    is the RMS error of the load estimate; by default 1.1 times that of the gains as given, scenario by scenario.
+    """
+
+    gain_margin: float = 6.0  # dB, up and down
+    phase_margin: float = 30.0  # deg
+    peak_sensitivity: float | None = None  # largest |1 / (1 + L)|
+    command_noise: float | None = None  # N
+    load_error: float | None = None  # N
+    load_settling: float | None = 2.0  # s, in which an estimator as eq. (20) forgets an error of the load to 1/e
+
+    def limits(self) -> LoopLimits:
+        """As factors and radians; raises `ParameterError` for what no loop can keep."""
+        if not 0.0 <= self.gain_margin <= MAX_GAIN_MARGIN:
+            raise ParameterError(
+                f"gain_margin: must be from 0 to {MAX_GAIN_MARGIN:.0f} dB, got {self.gain_margin:g}; 6 to 12 are usual"
+            )
+        factor = 10.0 ** (self.gain_margin / 20.0)
+        required = LoopLimits(
+            gain_up=factor, gain_down=factor, phase=float(np.radians(self.phase_margin)),
+            sensitivity=self.peak_sensitivity, command_noise=self.command_noise, load_error=self.load_error,
+            settling=self.load_settling,
+        )  # fmt: skip
+        check_limits(required)
+        return required
 
 
 class OperatingPoints(NamedTuple):

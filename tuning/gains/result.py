@@ -1,0 +1,143 @@
+"""What `tuning.tune` returns."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from diffdrive.axis import Axis
+from diffdrive.controllers import Controller
+from diffdrive.model.parameters import Friction
+from diffdrive.results import Result, Status
+from tuning.gains.plan import TuningPlan
+from tuning.gains.requirements import (
+    LoopLimits,
+)
+from tuning.gains.setup import TuningSetup
+from tuning.gains.tune import GainSearch
+from tuning.gains.verification import (
+    ControllerMargins,
+    ErrorComparison,
+    ScenarioComparison,
+    WorstMargins,
+    is_accepted,
+    noise_warning,
+)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class TuningResult(Result):
+    """Tuned gains, and what they are worth.
+
+    `accepted`: every requirement is kept, and every run of the verification is ok; `axis` then has the gains.
+    `tuned_on` and `held_out` compare them with the gains as given on the exact simulator, the latter in scenarios
+    (loads, speeds, a machine, noise) that were not tuned on; `margins` are the worst that remain. `gains` are (before,
+    after) by name. `search` has the search, `runs` every run; `initial_axis` is the axis before, `plan` and `limits`
+    how it was tuned.
+    """
+
+    axis: Axis
+    accepted: bool
+    gains: Mapping[str, tuple[float, float]]
+    tuned_on: ErrorComparison
+    held_out: ErrorComparison
+    margins: WorstMargins
+    search: GainSearch
+    runs: tuple[ScenarioComparison, ...]
+    notes: tuple[str, ...]
+    initial_axis: Axis
+    plan: TuningPlan
+    limits: LoopLimits
+    status: Status
+
+    schema: ClassVar[str] = "tuning/1"
+
+    def headline(self) -> str:
+        verdict = "accepted" if self.accepted else f"NOT ACCEPTED: {self.status.message}"
+        before, after = self.held_out.rms_before, self.held_out.rms_after
+        return (
+            f"{verdict}; held out {1e6 * before:.3g} -> {1e6 * after:.3g} µm RMS, {self.margins.phase_margin:.3g} deg"
+        )
+
+    def summary(self) -> str:
+        rows = [f"{'':<10}{'RMS µm':>18}{'peak µm':>18}{'command noise N':>20}"]
+        for name, comparison in (("tuned on", self.tuned_on), ("held out", self.held_out)):
+            rms, peak = (
+                f"{1e6 * comparison[0]:.3g} -> {1e6 * comparison[1]:.3g}",
+                f"{1e6 * comparison[2]:.3g} -> {1e6 * comparison[3]:.3g}",
+            )
+            noise = f"{comparison[4]:.3g} -> {comparison[5]:.3g}"
+            rows.append(f"{name:<10}{rms:>18}{peak:>18}{noise:>20}")
+        margins = self.margins
+        rows.append(
+            f"margins: {margins.gain_margin:.3g} dB, {margins.phase_margin:.3g} deg, "
+            f"peak sensitivity {margins.peak_sensitivity:.3g}"
+        )
+        rows += [f"{name:<12}{was:>12.5g} -> {now:.5g}" for name, (was, now) in self.gains.items()]
+        return "\n".join([self.headline(), *rows, *(f"- {note}" for note in self.notes)])
+
+    def as_dict(self) -> dict[str, object]:
+        return {
+            "accepted": self.accepted,
+            "gains": {name: {"before": was, "after": now} for name, (was, now) in self.gains.items()},
+            "tuned_on": self.tuned_on._asdict(),
+            "held_out": self.held_out._asdict(),
+            "margins": self.margins._asdict(),
+            "notes": list(self.notes),
+        }
+
+
+def tuned_axis(axis: Axis, controller: Controller) -> Axis:
+    """The axis with tuned gains: its friction is what observers believe, tuned along or not."""
+    friction = getattr(getattr(controller, "observer", None), "friction", None)
+    drive = axis.drive
+    if isinstance(friction, Friction):
+        drive = replace(drive, friction=friction)
+    return replace(axis, drive=drive, controller=controller)
+
+
+def tuning_result(
+    axis: Axis,
+    plan: TuningPlan,
+    prepared: TuningSetup,
+    tuned: GainSearch,
+    margins: ControllerMargins,
+    runs: Sequence[ScenarioComparison],
+) -> TuningResult:
+    """The result, with what is to be said of it."""
+    accepted = is_accepted(tuned, runs)
+    notes = [*prepared.notes, *(note for note in [noise_warning(prepared, runs)] if note), *remarks(tuned)]
+    bad = [f"{run.scenario.name}: {run.after.run.status.message}" for run in runs if not run.after.run.status.ok]
+    names = {gain.path: name for name, gain in axis.controller.tunables.items()}
+    gains = {
+        names.get(free.path, free.path): (float(was), float(now))
+        for free, was, now in zip(prepared.space.free, tuned.before, tuned.after, strict=True)
+    }
+    code = "ok" if accepted else "interrupted" if tuned.status.startswith("interrupted") else "not_accepted"
+    message = tuned.status if accepted or not bad else bad[0]
+    return TuningResult(
+        axis=replace(tuned_axis(axis, tuned.controller), name="tuned"),
+        accepted=accepted,
+        gains=gains,
+        tuned_on=ErrorComparison.of([run for run in runs if run.role == "tuned on"]),
+        held_out=ErrorComparison.of([run for run in runs if run.role == "held out"]),
+        margins=WorstMargins.of(margins.training),
+        search=tuned,
+        runs=tuple(runs),
+        notes=(*notes, *bad),
+        initial_axis=axis,
+        plan=plan,
+        limits=prepared.limits,
+        status=Status(accepted, message, code=code),
+    )
+
+
+def remarks(tuned: GainSearch) -> list[str]:
+    """What stood in the way of better gains."""
+    found = [f"At the bound of its range: {', '.join(tuned.at_bound)}."] if tuned.at_bound else []
+    found += [
+        f"Held back by the {requirement.name}: 1 % more of it would gain {requirement.gain:.2g} % of the objective."
+        for requirement in tuned.binding
+    ]
+    mend = "no gains near these keep it: relax it" if tuned.status.startswith("infeasible") else "search on"
+    found += [f"NOT KEPT: {name}, missed by {100 * share:.3g} %; {mend}." for name, share in tuned.violated.items()]
+    return found
