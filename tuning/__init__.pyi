@@ -1,5 +1,6 @@
 from .diagnosis.workflow import Cause, DiagnosisResult, diagnose
 from .gains.objective import Objective, register_aggregation
+from .gains.pareto import ParetoPoint, pareto_front
 from .gains.requirements import Requirements
 from .gains.result import TuningResult
 from .gains.workflow import tune
@@ -11,11 +12,13 @@ __all__ = [
     "DiagnosisResult",
     "IdentificationResult",
     "Objective",
+    "ParetoPoint",
     "Requirements",
     "SweepResult",
     "TuningResult",
     "diagnose",
     "identify",
+    "pareto_front",
     "register_aggregation",
     "sweep",
     "tune",

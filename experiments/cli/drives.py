@@ -1,6 +1,5 @@
 """The commands about one drive file: demo, simulate, tune."""
 
-import math
 from pathlib import Path
 from typing import Annotated
 
@@ -116,12 +115,11 @@ def tune(
     from diffdrive.errors import ParameterError
     from diffdrive.motion.text import nonnegative_number, number, numbers, require_choice
     from experiments.reports.report import Report
-    from experiments.reports.tuning import tune_drive
+    from experiments.reports.tuning import tune_and_report
     from tuning.gains.objective import AGGREGATIONS, Objective
-    from tuning.gains.plan import TuningPlan
-    from tuning.gains.requirements import MAX_GAIN_MARGIN, LoopLimits
+    from tuning.gains.requirements import MAX_GAIN_MARGIN, Requirements
 
-    description = read_axis(drive)
+    axis = read_axis(drive)
     require_choice("--aggregation", "aggregation", aggregation, AGGREGATIONS)
     highest = nonnegative_number(max_load, "N", "--max-load")
     if gain_margin > MAX_GAIN_MARGIN:
@@ -129,27 +127,22 @@ def tune(
             f"--gain-margin {gain_margin:g}: must be at most {MAX_GAIN_MARGIN:.0f} dB, beyond which the loop's gain "
             "is lost in rounding; 6 to 12 dB are usual"
         )
-    factor = 10.0 ** (gain_margin / 20.0)
-    limits = LoopLimits(
-        gain_up=factor,
-        gain_down=factor,
-        phase=math.radians(phase_margin),
-        sensitivity=sensitivity,
+    requirements = Requirements(
+        gain_margin=gain_margin,
+        phase_margin=phase_margin,
+        peak_sensitivity=sensitivity,
         command_noise=None if noise is None else nonnegative_number(noise, "N", "--noise"),
         load_error=None if load_error is None else nonnegative_number(load_error, "N", "--load-error"),
     )
-    plan = TuningPlan(
-        speed=number(speed, "m/s", "--speed"), max_load=highest, loads=loads, spread=spread, machines=machines,
-        seed=seed,
-    )  # fmt: skip
-    objective = Objective(peak=1e6 * peak, aggregation=aggregation)
+    speed_of_reversal = number(speed, "m/s", "--speed")
     front = numbers(pareto, "N", "--pareto") if pareto else []
     if any(limit <= 0.0 for limit in front):
         raise ParameterError(f"--pareto {pareto}: each limit must be above 0")
     with Report(f"{drive.name}: gradient tuning over loads and machines", out) as report:
-        _, accepted = tune_drive(
-            description, report, plan=plan, limits=limits, objective=objective, friction=friction, starts=starts,
-            max_steps=steps, pareto=front,
+        result = tune_and_report(
+            axis, report, pareto=front, speed=speed_of_reversal, loads=(0.0, highest), load_steps=loads,
+            requirements=requirements, objective=Objective(peak=1e6 * peak, aggregation=aggregation),
+            friction=friction, spread=spread, machines=machines, starts=starts, seed=seed, max_steps=steps,
         )  # fmt: skip
-    if not accepted:
+    if not result.accepted:
         raise typer.Exit(3)

@@ -8,22 +8,18 @@ from rich.console import Console
 from diffdrive.errors import ParameterError
 from diffdrive.loop.run import Run
 from diffdrive.results import Result
-from experiments.reports.axis_file import write_axis_file
 from experiments.reports.diagnosis.figures import save_diagnosis_figures
 from experiments.reports.diagnosis.files import write_augmented, write_reference
 from experiments.reports.diagnosis.page import print_answers, write_page
 from experiments.reports.identification.identification import report_identification
 from experiments.reports.report import Report
 from experiments.reports.simulation import run_figure, write_run
-from experiments.reports.sweep.sweep import save_sweep_figures
-from experiments.reports.sweep.tables import print_sweep
-from experiments.reports.tuning import gains_table, loop_figures, margins_table, tuning_figure, verification_table
+from experiments.reports.sweep.sweep import report_sweep
+from experiments.reports.tuning import report_tuning
 from tuning.diagnosis.workflow import DiagnosisResult
 from tuning.gains.result import TuningResult
-from tuning.gains.verification import margins_at
 from tuning.identification.workflow import IdentificationResult
-from tuning.sweeps.summary import groups
-from tuning.sweeps.workflow import SweepResult, as_dataset, group_influences
+from tuning.sweeps.workflow import SweepResult
 
 
 def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:
@@ -84,28 +80,12 @@ def _(result: DiagnosisResult, writer: Report) -> None:
 
 @section.register
 def _(result: TuningResult, writer: Report) -> None:
-    gains_table(writer, result.search)
-    for note in result.notes:
-        writer.say(note)
-    given = result.initial_axis
-    margins_table(writer, margins_at(given, [given.controller, result.search.controller], result.plan))
-    loop_figures(writer, given, result.search.controller, result.plan, result.limits)
-    verification_table(writer, list(result.runs))
-    writer.figure("tuning", tuning_figure(result.search, list(result.runs), result.plan))
-    if result.accepted:
-        write_axis_file(writer, result.axis, "tuned.toml")
+    report_tuning(writer, result)
 
 
 @section.register
 def _(result: SweepResult, writer: Report) -> None:
-    plan = result.plan
-    found = groups(as_dataset(result.frame), list(plan.controllers), list(plan.motions))
-    influences = [(group, group_influences(plan, group, result.by)) for group in found]
-    print_sweep(writer, plan, influences, result.tolerance, result.by)
-    for motion in plan.motions:
-        save_sweep_figures(
-            writer, plan, [group for group in influences if group[0].motion == motion], result.tolerance, result.by
-        )
+    report_sweep(writer, result)
 
 
 def _out(writer: Report) -> Path:

@@ -6,30 +6,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.controllers import Controller
 from diffdrive.loop.linearise import OperatingPoint
 from diffdrive.model.parameters import quantities
 from experiments.reports import readable
+from experiments.reports.axis_file import write_axis_file
 from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
 from tuning.gains.handover import LABELS, handover, worst_margins, write_handover
-from tuning.gains.objective import Objective
-from tuning.gains.plan import ScenarioResult, TuningPlan, run_scenario
-from tuning.gains.requirements import Constraints, LoopLimits
-from tuning.gains.result import remarks, tuned_axis
-from tuning.gains.scenarios import Ensemble, Scenario
-from tuning.gains.setup import TuningSetup, set_up
-from tuning.gains.tune import STARTS, GainSearch, default_space, require_starts, tune
-from tuning.gains.verification import (
-    ControllerMargins,
-    ScenarioComparison,
-    is_accepted,
-    margins_at,
-    noise_warning,
-    verify,
-)
+from tuning.gains.pareto import pareto_front
+from tuning.gains.plan import ScenarioResult, TuningPlan
+from tuning.gains.requirements import LoopLimits
+from tuning.gains.result import TuningResult, remarks
+from tuning.gains.tune import GainSearch
+from tuning.gains.verification import ControllerMargins, ScenarioComparison, is_accepted, noise_warning
+from tuning.gains.workflow import tune
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,66 +36,48 @@ LARGE_LOAD_ERROR = 1.0  # kN
 CHECKPOINT = "tuning.checkpoint.json"
 
 
-def tune_drive(
-    description: Axis,
-    report: Report,
-    *,
-    plan: TuningPlan = TuningPlan(),
-    limits: LoopLimits = LoopLimits(command_noise=None),
-    objective: Objective = Objective(),
-    friction: bool = False,
-    starts: int = STARTS,
-    max_steps: int = 40,
-    pareto: Sequence[float] = (),
-) -> tuple[GainSearch, bool]:
-    """Tune the file's controller as planned; figures, tables, tuned.toml and handover.toml go to `report`.
+def tune_and_report(axis: Axis, report: Report, *, pareto: Sequence[float] = (), **options: Any) -> TuningResult:
+    """Tune as `tuning.tune` with these `options`; what it finds goes to `report`, tuned.toml and handover.toml, too.
 
-    Without a limit on the command noise, tuned gains may make `NOISIER` times that of the gains as given. Returns what
-    was tuned and whether it is accepted: every requirement kept, and every verification run ok. Only then are the files
-    written. `pareto` are limits on the command noise (N), for each of which the gains are tuned again.
+    They are written where the result is accepted. `pareto` are limits on the command noise (N), for each of which the
+    gains are tuned again.
     """
-    require_starts(starts)
-    prepared = set_up(description, plan, limits, friction=friction)
-    lanes, requirements, space = prepared.lanes, prepared.constraints, prepared.space
-    for note in prepared.notes:
-        report.say(note)
     checkpoint = None if report.out is None else report.out / CHECKPOINT
-    with (
-        report.progress(f"tuning {len(space.names)} gains by gradient", max_steps) as advance,
-        stop_at_next_step(advance, report.say) as progress,
-    ):
-        tuned = tune(
-            description.controller, lanes, requirements, space, objective=objective, starts=starts, seed=plan.seed,
-            max_steps=max_steps, checkpoint=checkpoint, progress=progress,
-        )  # fmt: skip
-    with report.result_first() as result:
-        gains_table(report, tuned)
-        if tuned.status.startswith("interrupted") and checkpoint is not None and checkpoint.exists():
-            report.say(f"The same command continues the search from {CHECKPOINT}.")
-        with report.working("linearising"):
-            both = margins_at(description, [description.controller, tuned.controller], plan)
-        margins_table(report, both)
-        loop_figures(report, description, tuned.controller, plan, prepared.limits)
-        with report.working("verifying on the exact simulator"):
-            runs = verify(description, tuned.controller, prepared, plan.settle)
-        verification_table(report, runs)
-        result(verdict(tuned, runs))
-    report.figure("tuning", tuning_figure(tuned, runs, plan))
+    with report.stages() as advance, stop_at_next_step(advance, report.say) as progress:
+        result = tune(axis, checkpoint=checkpoint, progress=progress, **options)
+    if result.status.code == "interrupted" and checkpoint is not None and checkpoint.exists():
+        report.say(f"The same command continues the search from {CHECKPOINT}.")
+    report_tuning(report, result)
     if pareto:
-        _pareto(report, description, lanes, requirements, objective, pareto, prepared.held_out, plan)
-    if noisy := noise_warning(prepared, runs):
+        _pareto(report, result, pareto)
+    if result.accepted and checkpoint is not None:
+        checkpoint.unlink(missing_ok=True)
+    return result
+
+
+def report_tuning(report: Report, result: TuningResult) -> None:
+    """The gains, their margins, the verification, figures, and where they are accepted the files that take them on."""
+    given, tuned = result.initial_axis, result.search.controller
+    for note in result.setup.notes:
+        report.say(note)
+    with report.result_first() as first:
+        gains_table(report, result.search)
+        margins_table(report, result.loop_margins)
+        loop_figures(report, given, tuned, result.plan, result.setup.limits)
+        verification_table(report, result.runs)
+        first(verdict(result.search, result.runs))
+    report.figure("tuning", tuning_figure(result.search, list(result.runs), result.plan))
+    if noisy := noise_warning(result.setup, result.runs):
         report.say(noisy)
-    accepted = is_accepted(tuned, runs)
-    report.keep("verdict", accepted=accepted)
-    if accepted and report.out is not None:
-        write_axis(report.out / "tuned.toml", tuned_axis(description, tuned.controller))
-        if friction:
-            report.say("tuned.toml holds the friction that the controller is to believe, not the machine's:")
-            report.say("simulate it with `--machine` and the file that was given.")
-        conditions = _conditions(plan, prepared, description)
-        write_handover(report.out / "handover.toml", handover(description, tuned, both[1].training, conditions))
-        (report.out / CHECKPOINT).unlink(missing_ok=True)
-    return tuned, accepted
+    report.keep("verdict", accepted=result.accepted)
+    if not result.accepted or report.out is None:
+        return
+    write_axis_file(report, result.axis, "tuned.toml")
+    if result.setup.friction:
+        report.say("tuned.toml holds the friction that the controller is to believe, not the machine's:")
+        report.say("simulate it with `--machine` and the file that was given.")
+    tables = handover(given, result.search, result.loop_margins[1].training, _conditions(result))
+    write_handover(report.out / "handover.toml", tables)
 
 
 def verdict(tuned: GainSearch, runs: Sequence[ScenarioComparison]) -> str:
@@ -228,51 +202,43 @@ def _load_errors(rows: Sequence[Sequence[Any]]) -> list[str]:
 MEASURES = ("rms", "peak", "command_noise", "load_error")
 
 
-def _pareto(
-    report: Report, description: Axis, lanes: Ensemble, requirements: Constraints,
-    objective: Objective, noises: Sequence[float], off: list[Scenario], plan: TuningPlan,
-) -> None:  # fmt: skip
-    """Tracking error against command noise: the gains tuned again under each limit, from the ones found."""
-    rows: list[list[Any]] = []
-    space = default_space(description.controller)
-    with report.progress("Pareto front", len(noises)) as advance:
-        for k, noise in enumerate(sorted(noises)):
-            limits = requirements.limits._replace(command_noise=noise)
-            limited = Constraints(limits, requirements.points, lanes.sampling)
-            found = tune(description.controller, lanes, limited, space, objective=objective)
-            judged = [run_scenario(found.controller, one, description.sampling, plan.settle) for one in off]
-            rows.append(
-                [
-                    float(noise), float(found.point.objective), found.feasible,
-                    float(np.mean([one.command_noise for one in judged])), float(np.mean([one.rms for one in judged])),
-                ]
-            )  # fmt: skip
-            advance(k + 1, len(noises), rows[-1][1])
+def _pareto(report: Report, result: TuningResult, noise_limits: Sequence[float]) -> None:
+    """Tracking error against command noise: the gains tuned again under each limit, from the ones given."""
+    with report.stages() as progress:
+        front = pareto_front(result, noise_limits, progress=progress)
+    rows = [[*point[:4], 1e6 * point.rms] for point in front]
     columns = ("noise limit N", "objective", "feasible", "held-out noise N", "held-out RMS um")
     report.table("pareto", columns, rows, "Tuned again under each limit of the command noise")
     figure, axis = new_figure()
-    kept = [row for row in rows if row[2]]
-    axis.plot([row[0] for row in kept], [row[1] for row in kept], "o-", label="tuned on: objective at its limit")
-    axis.plot([row[3] for row in kept], [row[4] for row in kept], "s--", label="held out: mean RMS, µm")
+    kept = [point for point in front if point.feasible]
+    axis.plot(
+        [point.noise_limit for point in kept], [point.objective for point in kept], "o-",
+        label="tuned on: objective at its limit",
+    )  # fmt: skip
+    axis.plot(
+        [point.command_noise for point in kept], [1e6 * point.rms for point in kept], "s--",
+        label="held out: mean RMS, µm",
+    )  # fmt: skip
     axis.set(xlabel="command noise, N", ylabel="tracking error, µm", title="what quietness costs", ylim=(0, None))
     axis.legend()
     report.figure("pareto", figure)
 
 
-def _conditions(plan: TuningPlan, prepared: TuningSetup, description: Axis) -> dict[str, object]:
+def _conditions(result: TuningResult) -> dict[str, object]:
     """What the gains rest on."""
+    axis, plan = result.initial_axis, result.plan
     required = {
         UNITS.get(name, name): np.max(np.asarray(value) * (180.0 / np.pi if name == "phase" else 1.0)).item()
-        for name, value in prepared.limits._asdict().items()
+        for name, value in result.setup.limits._asdict().items()
         if value is not None
     }
     return {
-        "loads_N": [0.0, plan.max_load],
-        "reversal_speed_m_per_s": plan.speed,
-        "margins_at_speeds_m_per_s": [float(speed) for speed in prepared.speeds],
+        "loads_N": [plan.min_load, plan.max_load],
+        "reversal_speed_m_per_s": plan.top_speed,
+        "margins_at_speeds_m_per_s": [float(speed) for speed in result.setup.speeds],
         "parameter_uncertainty": plan.spread,
-        "control_rate_Hz": float(description.sampling.rate),
-        "delay_samples": int(description.drive.actuator.delay_samples),
+        "control_rate_Hz": float(axis.rate),
+        "delay_samples": int(axis.drive.actuator.delay_samples),
         "required": required,
     }
 

@@ -18,7 +18,7 @@ from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Scalar, as_arrays, quantities
 from experiments.drives import PAPER_DRIVE
 from experiments.reports.report import Report
-from experiments.reports.tuning import tune_drive
+from experiments.reports.tuning import tune_and_report
 from experiments.studies.emps import axis as emps
 from experiments.studies.emps import study as emps_study
 from experiments.studies.paper import scenario as paper
@@ -67,7 +67,7 @@ def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = Fal
         _simulate(report, axis)
         _differentiate(report, axis)
         report.say("Tuning Kp, Kd, Q, R and K_w over loads from 0 to 12.6 kN, within stability margins.")
-        tune_drive(axis, report, starts=1 if quick else STARTS)
+        tune_and_report(axis, report, starts=1 if quick else STARTS)
         folder = emps_folder or emps.find_folder()
         if folder is None:
             report.say(

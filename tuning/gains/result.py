@@ -8,10 +8,8 @@ from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.model.parameters import Friction
 from diffdrive.results import Result, Status
+from tuning.gains.objective import Objective
 from tuning.gains.plan import TuningPlan
-from tuning.gains.requirements import (
-    LoopLimits,
-)
 from tuning.gains.setup import TuningSetup
 from tuning.gains.tune import GainSearch
 from tuning.gains.verification import (
@@ -31,8 +29,8 @@ class TuningResult(Result):
     `accepted`: every requirement is kept, and every run of the verification is ok; `axis` then has the gains.
     `tuned_on` and `held_out` compare them with the gains as given on the exact simulator, the latter in scenarios
     (loads, speeds, a machine, noise) that were not tuned on; `margins` are the worst that remain. `gains` are (before,
-    after) by name. `search` has the search, `runs` every run; `initial_axis` is the axis before, `plan` and `limits`
-    how it was tuned.
+    after) by name. `search` has the search, `runs` every run, `loop_margins` the margins at every operating point
+    before and after; `initial_axis` is the axis before, `plan`, `setup` and `objective` say how it was tuned.
     """
 
     axis: Axis
@@ -40,16 +38,22 @@ class TuningResult(Result):
     gains: Mapping[str, tuple[float, float]]
     tuned_on: ErrorComparison
     held_out: ErrorComparison
-    margins: WorstMargins
     search: GainSearch
     runs: tuple[ScenarioComparison, ...]
+    loop_margins: tuple[ControllerMargins, ControllerMargins]
     notes: tuple[str, ...]
     initial_axis: Axis
     plan: TuningPlan
-    limits: LoopLimits
+    setup: TuningSetup
+    objective: Objective
     status: Status
 
     schema: ClassVar[str] = "tuning/1"
+
+    @property
+    def margins(self) -> WorstMargins:
+        """The smallest margins of the tuned loop over speeds, directions and loads."""
+        return WorstMargins.of(self.loop_margins[1].training)
 
     def headline(self) -> str:
         verdict = "accepted" if self.accepted else f"NOT ACCEPTED: {self.status.message}"
@@ -99,8 +103,9 @@ def tuning_result(
     axis: Axis,
     plan: TuningPlan,
     prepared: TuningSetup,
+    objective: Objective,
     tuned: GainSearch,
-    margins: ControllerMargins,
+    margins: Sequence[ControllerMargins],
     runs: Sequence[ScenarioComparison],
 ) -> TuningResult:
     """The result, with what is to be said of it."""
@@ -120,13 +125,14 @@ def tuning_result(
         gains=gains,
         tuned_on=ErrorComparison.of([run for run in runs if run.role == "tuned on"]),
         held_out=ErrorComparison.of([run for run in runs if run.role == "held out"]),
-        margins=WorstMargins.of(margins.training),
         search=tuned,
         runs=tuple(runs),
+        loop_margins=(margins[0], margins[1]),
         notes=(*notes, *bad),
         initial_axis=axis,
         plan=plan,
-        limits=prepared.limits,
+        setup=prepared,
+        objective=objective,
         status=Status(accepted, message, code=code),
     )
 

@@ -30,6 +30,7 @@ class TuningSetup(NamedTuple):
     constraints: Constraints
     space: SearchSpace
     speeds: tuple[float, ...]  # m/s, at which margins are looked at
+    friction: bool  # tuned along
     notes: tuple[str, ...]
 
 
@@ -50,8 +51,9 @@ def set_up(axis: Axis, plan: TuningPlan, required: LoopLimits, *, friction: bool
     ):
         notes.append(f"0 in the drive file, and so not tuned, since no factor leads away from it: {', '.join(left)}.")
     return TuningSetup(
-        training, held_out_runs, lanes, required, Constraints(required, grid, coarse), space, speeds, tuple(notes)
-    )
+        training, held_out_runs, lanes, required, Constraints(required, grid, coarse), space, speeds, friction,
+        tuple(notes),
+    )  # fmt: skip
 
 
 def _with_default_limits(

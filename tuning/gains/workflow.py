@@ -14,14 +14,16 @@ from tuning.gains.setup import set_up
 from tuning.gains.tune import STARTS, require_starts
 from tuning.gains.tune import tune as search_gains
 from tuning.gains.verification import margins_at, verify
-from tuning.progress import Progress, reporting
+from tuning.progress import Progress, reporting, searching
 
 
 def tune(
     axis: Axis,
     motion: Motion | None = None,
     *,
+    speed: float = 0.010,
     loads: tuple[float, float] = (0.0, 12_600.0),
+    load_steps: int = 4,
     requirements: Requirements = Requirements(),
     objective: Objective = Objective(),
     friction: bool = False,
@@ -42,8 +44,10 @@ def tune(
 
     Args:
         axis: The drive, and the controller with the gains to start from.
-        motion: What it is tuned on, at the axis's rate; by default a reversal at 10 mm/s.
+        motion: What it is tuned on, at the axis's rate; by default a reversal at `speed`.
+        speed: Of that reversal (m/s).
         loads: Lowest and highest force on the guides (N).
+        load_steps: Loads that it is tuned under, evenly spaced between these two.
         requirements: Margins, command noise and load error that the tuned loop must keep.
         objective: What is minimised; by default the RMS tracking error.
         friction: Tune what the observer believes of the friction along.
@@ -69,23 +73,26 @@ def tune(
 
     """
     low, high = loads
-    if not 0.0 <= low < high:
+    if not 0.0 <= low <= high:
         raise ParameterError(f"loads: give the lowest and the highest in N, such as (0.0, 12_600.0), got {loads!r}")
-    plan = TuningPlan(max_load=high, min_load=low, spread=spread, machines=machines, seed=seed, motion=motion)
+    plan = TuningPlan(
+        speed=speed, max_load=high, loads=load_steps if high > low else 1, spread=spread, machines=machines, seed=seed,
+        min_load=low, motion=motion,
+    )  # fmt: skip
     if settle is not None or motion is not None:
         third = 0.0 if motion is None else motion.duration / 3.0
         plan = replace(plan, settle=min(plan.settle, third) if settle is None else settle)
     require_starts(starts)
     with reporting(progress) as tell:
         prepared = set_up(axis, plan, requirements.limits(), friction=friction)
-        tuned = search_gains(
-            axis.controller, prepared.lanes, prepared.constraints, prepared.space, objective=objective, starts=starts,
-            seed=seed, max_steps=max_steps, checkpoint=checkpoint,
-            progress=lambda step, most, _: tell("tuning by gradient", step, most),
-        )  # fmt: skip
+        with searching(tell, f"tuning {len(prepared.space.names)} gains by gradient") as step:
+            tuned = search_gains(
+                axis.controller, prepared.lanes, prepared.constraints, prepared.space, objective=objective,
+                starts=starts, seed=seed, max_steps=max_steps, checkpoint=checkpoint, progress=step,
+            )  # fmt: skip
         tell("verifying on the exact simulator", 0, 1)
-        (margins,) = margins_at(axis, [tuned.controller], plan)
+        margins = margins_at(axis, [axis.controller, tuned.controller], plan)
         runs = verify(axis, tuned.controller, prepared, plan.settle)
         tell("verifying on the exact simulator", 1, 1)
-    result = tuning_result(axis, plan, prepared, tuned, margins, runs)
+    result = tuning_result(axis, plan, prepared, objective, tuned, margins, runs)
     return result.require_ok() if throw else result

@@ -18,7 +18,7 @@ from diffdrive.results import Result, Status
 from diffdrive.support.atomic_write import remove_temporary
 from tuning.progress import Progress, reporting
 from tuning.sweeps.engine import Precision, most_in_a_part
-from tuning.sweeps.parts import Engine, in_process, missing_parts, run_parts
+from tuning.sweeps.parts import Engine, MachinesDone, Notify, in_process, missing_parts, run_parts
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.room import require_resources
 from tuning.sweeps.samples import Method
@@ -59,6 +59,10 @@ class SweepResult(Result):
         """Their names."""
         return tuple(self.plan.controllers)
 
+    def groups(self) -> list[Group]:
+        """The runs of every controller on every motion."""
+        return groups(ds.dataset(self.frame), list(self.plan.controllers), list(self.plan.motions))
+
     def group(self, controller: str, motion: str | None = None) -> Group:
         """The runs of one controller, on one motion where there are several; raises `ParameterError`."""
         motion = next(iter(self.plan.motions)) if motion is None else motion
@@ -67,7 +71,7 @@ class SweepResult(Result):
                 f"no controller {controller!r} on a motion {motion!r}; there are {', '.join(self.controllers)} on "
                 f"{', '.join(self.plan.motions)}"
             )
-        (found,) = groups(as_dataset(self.frame), [controller], [motion])
+        (found,) = groups(ds.dataset(self.frame), [controller], [motion])
         return found
 
     def exceedance(self, controller: str, motion: str | None = None, *, tolerance: float | None = None) -> Exceedance:
@@ -185,30 +189,50 @@ def sweep(
         >>> swept.exceedance(axis.name).interval
 
     """
-    if by not in ERRORS:
-        raise ParameterError(f"by: no error {by!r}; known: {', '.join(ERRORS)}")
-    if tolerance is not None and not tolerance > 0.0:
-        raise ParameterError(f"tolerance: must be above zero, in m, got {tolerance!r}")
     plan = sweep_plan(
         axis, motion, vary=vary, against=against or {}, machine=machine, samples=samples, load=load, settle=settle,
         seed=seed, method=method, precision=precision,
     )  # fmt: skip
     folder = None if out is None else Path(out)
+    with reporting(progress) as tell:
+        result = run_plan(
+            plan, vary, folder, tolerance=tolerance, by=by, engine=engine or in_process,
+            done=lambda machines: tell("machines", machines, plan.samples),
+        )  # fmt: skip
+    if folder is not None:
+        result.save(folder)
+    return result
+
+
+def require_runnable(plan: SweepPlan, folder: Path | None, *, tolerance: float | None, by: str) -> None:
+    """Raise `ParameterError` for a sweep that cannot be run, before anything is written."""
+    if by not in ERRORS:
+        raise ParameterError(f"by: no error {by!r}; known: {', '.join(ERRORS)}")
+    if tolerance is not None and not tolerance > 0.0:
+        raise ParameterError(f"tolerance: must be above zero, in m, got {tolerance!r}")
     require_resources(plan, Path(tempfile.gettempdir()) if folder is None else folder)
     if folder is not None:
-        missing_parts(plan, folder / PARTS)  # before anything is written: what is there may be of another sweep
-    with parts_folder(folder) as parts, reporting(progress) as tell:
-        rows = run_parts(plan, parts, lambda done: tell("machines", done, plan.samples), engine or in_process)
+        missing_parts(plan, folder / PARTS)  # what is there may be of another sweep
+
+
+def run_plan(
+    plan: SweepPlan, vary: Mapping[str, str], folder: Path | None, *, tolerance: float | None, by: str, engine: Engine,
+    done: MachinesDone, notify: Notify = lambda _: None,
+) -> SweepResult:  # fmt: skip
+    """Run the machines of a plan that are not in the folder yet, and say what became of all.
+
+    `vary` are the texts that the plan is made from; `notify` is told what keeps an engine from beginning. Raises
+    `ParameterError` for a plan that cannot be run.
+    """
+    require_runnable(plan, folder, tolerance=tolerance, by=by)
+    with parts_folder(folder) as parts:
+        rows = run_parts(plan, parts, done, engine, notify)
         order = [("motion", "ascending"), ("controller", "ascending"), ("machine", "ascending")]
         frame = rows.to_table().sort_by(order)
     diverged = int(np.sum(frame["diverged"].to_numpy(zero_copy_only=False)))
     message = "ok" if not diverged else f"{diverged} of {len(frame)} runs diverged"
-    result = SweepResult(
-        frame, plan, dict(vary), tolerance, by, Status(not diverged, message, code="diverged" if diverged else "ok")
-    )
-    if folder is not None:
-        result.save(folder)
-    return result
+    status = Status(not diverged, message, code="diverged" if diverged else "ok")
+    return SweepResult(frame, plan, dict(vary), tolerance, by, status)
 
 
 def sweep_plan(
@@ -258,8 +282,3 @@ def group_influences(plan: SweepPlan, group: Group, by: str) -> list[Influence]:
 def varied_values(plan: SweepPlan, group: Group) -> np.ndarray:
     """The values of what varied, [machines, quantities]."""
     return np.stack([group.column(name) for name in plan.units], axis=1)
-
-
-def as_dataset(frame: pa.Table) -> ds.Dataset:
-    """The rows as `groups` takes them."""
-    return ds.dataset(frame)

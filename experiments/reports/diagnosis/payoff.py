@@ -14,7 +14,7 @@ from diffdrive.controllers import Controller
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import as_arrays
 from experiments.reports.report import Report
-from experiments.reports.tuning import tune_drive
+from experiments.reports.tuning import tune_and_report
 from tuning.gains.handover import worst_margins
 from tuning.gains.plan import ScenarioResult, TuningPlan, held_out_scenarios, run_scenario
 from tuning.gains.requirements import Constraints, LoopLimits, operating_points
@@ -37,11 +37,13 @@ def payoff(report: Report, nominal: Axis, augmented: Axis, plan: TuningPlan = Tu
     for name, description in (("nominal", nominal), ("augmented", augmented)):
         quiet = Report(f"tuned on the {name} drive", _subfolder(report, f"tuned-{name}"), Console(quiet=True))
         with report.working(f"tuning on the {name} drive"), quiet:
-            tuned, kept = tune_drive(description, quiet, plan=plan)
-        if tuned.status.startswith("interrupted"):
+            result = tune_and_report(
+                description, quiet, loads=(0.0, plan.max_load), load_steps=plan.loads, machines=plan.machines
+            )
+        if result.status.code == "interrupted":
             raise KeyboardInterrupt  # half a tuning pays nothing
-        gains.append(tuned.controller)
-        accepted.append(kept)
+        gains.append(result.search.controller)
+        accepted.append(result.accepted)
     scenarios = held_out_scenarios(augmented, plan)
     rows: list[list[object]] = []
     found: dict[str, GainFigures] = {}

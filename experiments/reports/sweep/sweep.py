@@ -1,6 +1,5 @@
 """`diffdrive sweep` and `diffdrive replay`: a sweep run, told and drawn; and one of its machines again."""
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import get_args
@@ -17,14 +16,13 @@ from experiments.reports.simulation import run_figure, write_run
 from experiments.reports.sweep import figures
 from experiments.reports.sweep.tables import LISTED, GroupInfluences, print_sweep, print_varied
 from tuning.sweeps.engine import Precision
-from tuning.sweeps.parts import ComputedParts, Engine, Notify, in_process, missing_parts, run_parts, stored_errors
+from tuning.sweeps.parts import ComputedParts, Engine, Notify, in_process, stored_errors
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.replay import SIGNALS, choose_names, machine_run, repeat_costs, run_errors, sweep_machine, traces
-from tuning.sweeps.room import require_resources
 from tuning.sweeps.samples import Method
 from tuning.sweeps.spec import FILE, SweepSpec, read_spec, write_spec
-from tuning.sweeps.summary import ERRORS, Group, first_to_diverge, groups, worst
-from tuning.sweeps.workflow import PARTS, group_influences, parts_folder
+from tuning.sweeps.summary import ERRORS, Group, first_to_diverge, worst
+from tuning.sweeps.workflow import PARTS, SweepResult, group_influences, require_runnable, run_plan
 
 ALIKE = 0.01  # of RMS and peak error: what the signals of a machine by itself may be off
 
@@ -41,33 +39,40 @@ def sweep_drive(
     for name in recorded:
         require_choice("--record", "signal", name, SIGNALS)
     plan = spec.plan()
-    require_resources(plan, Path(tempfile.gettempdir()) if out is None else out)
+    require_runnable(plan, out, tolerance=tolerance, by=by)
     warned = [one for motion in plan.motions for one in _warnings(plan, motion)]
     title = f"{spec.name}: {plan.samples} machines, {', '.join(plan.motions)}"
-    if out is not None:
-        if (out / RESULT).exists() and not (out / FILE).exists():
-            raise ParameterError(f"--out {out}: holds the results of another command; name another folder")
-        missing_parts(plan, out / PARTS)  # before anything is written: what is there may be of another sweep
-    with Report(title, out) as report, parts_folder(out) as folder:
+    if out is not None and (out / RESULT).exists() and not (out / FILE).exists():
+        raise ParameterError(f"--out {out}: holds the results of another command; name another folder")
+    vary = {name: text for name, _, text in (text.partition("=") for text in spec.vary)}
+    with Report(title, out) as report:
         for warning in warned:
             report.say(warning)
-        runs = plan.samples * len(plan.controllers) * len(plan.motions)
         with report.counted(f"simulating machines of {spec.name}", plan.samples) as done:
-            rows = run_parts(plan, folder, done, _announcing(spec, engine or in_process, report), report.console.print)
+            result = run_plan(
+                plan, vary, out, tolerance=tolerance, by=by, engine=_announcing(spec, engine or in_process, report),
+                done=done, notify=report.console.print,
+            )  # fmt: skip
         _legend(report, spec.origins(plan.axis.sampling.rate))
-        report.keep(
-            "sweep", machines=plan.samples, runs=runs, method=plan.method, seed=plan.seed, parts=plan.parts,
-            precision=plan.precision,
-        )  # fmt: skip
-        found = groups(rows, list(plan.controllers), list(plan.motions))
-        influences = [(one, group_influences(plan, one, by)) for one in found]
-        print_sweep(report, plan, influences, tolerance, by)
-        report.show_numbers("sweep")
-        for motion in plan.motions if out is not None else ():
-            save_sweep_figures(report, plan, [one for one in influences if one[0].motion == motion], tolerance, by)
+        report_sweep(report, result)
         if recorded:
-            _record(report, plan, found, recorded, by)
-        return not any(one.diverged.any() for one in found)
+            _record(report, plan, result.groups(), recorded, by)
+    return result.status.ok
+
+
+def report_sweep(report: Report, result: SweepResult) -> None:
+    """How often each controller misses, what drives the spread, the worst machines, and the figures."""
+    plan = result.plan
+    report.keep(
+        "sweep", machines=plan.samples, runs=plan.samples * len(plan.controllers) * len(plan.motions),
+        method=plan.method, seed=plan.seed, parts=plan.parts, precision=plan.precision,
+    )  # fmt: skip
+    influences = [(group, group_influences(plan, group, result.by)) for group in result.groups()]
+    print_sweep(report, plan, influences, result.tolerance, result.by)
+    report.show_numbers("sweep")
+    for motion in plan.motions if report.out is not None else ():
+        of_motion = [found for found in influences if found[0].motion == motion]
+        save_sweep_figures(report, plan, of_motion, result.tolerance, result.by)
 
 
 def _warnings(plan: SweepPlan, motion: str) -> list[str]:
