@@ -37,6 +37,7 @@ class Result(abc.ABC):
 
     schema: ClassVar[str]  # name and version of what `as_dict` holds
     status: Status
+    notes: tuple[str, ...]  # what a reader should know before trusting the numbers
 
     @abc.abstractmethod
     def headline(self) -> str:

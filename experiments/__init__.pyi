@@ -1,3 +1,3 @@
-from .reports.of_result import report
+from .reports.of_result import report, section
 
-__all__ = ["report"]
+__all__ = ["report", "section"]

@@ -90,7 +90,7 @@ def _with_load(log: Log, load: float | None) -> Log:
         return log
     if log.load is not None:
         raise LogError(
-            f"{log.name}: has a load of its own, in its column 'load': leave out --load, or map it elsewhere"
+            f"{log.name}: has a load of its own, in its column 'load': state none for it, or map the column elsewhere"
         )
     return replace(log, load=np.full(len(log.time), load))
 

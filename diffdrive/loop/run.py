@@ -32,6 +32,7 @@ class Run(Result):
     friction_estimate: np.ndarray | None
     load_estimate: np.ndarray | None
     status: Status = OK
+    notes: tuple[str, ...] = ()
 
     schema: ClassVar[str] = "run/1"
 

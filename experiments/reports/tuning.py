@@ -18,7 +18,7 @@ from tuning.gains.handover import LABELS, handover, worst_margins, write_handove
 from tuning.gains.pareto import pareto_front
 from tuning.gains.plan import ScenarioResult, TuningPlan
 from tuning.gains.requirements import LoopLimits
-from tuning.gains.result import TuningResult, remarks
+from tuning.gains.result import BELIEVED, TuningResult, remarks
 from tuning.gains.tune import GainSearch
 from tuning.gains.verification import ControllerMargins, ScenarioComparison, is_accepted, noise_warning
 from tuning.gains.workflow import tune
@@ -74,15 +74,14 @@ def report_tuning(report: Report, result: TuningResult) -> None:
         return
     write_axis_file(report, result.axis, "tuned.toml")
     if result.setup.friction:
-        report.say("tuned.toml holds the friction that the controller is to believe, not the machine's:")
-        report.say("simulate it with `--machine` and the file that was given.")
+        report.say(f"{BELIEVED} On the command line: `--machine`.")
     tables = handover(given, result.search, result.loop_margins[1].training, _conditions(result))
     write_handover(report.out / "handover.toml", tables)
 
 
 def verdict(tuned: GainSearch, runs: Sequence[ScenarioComparison]) -> str:
     """Whether the gains are accepted, why not, and what they do in scenarios that they were not tuned on."""
-    was, now = (float(np.mean([one.rms for one in judged])) for judged in _held_out(runs))
+    was, now = (1e6 * float(np.mean([one.rms for one in judged])) for judged in _held_out(runs))
     held_out = f"mean RMS error held out {was:.3g} um as given, {now:.3g} um tuned ({100.0 * (now / was - 1.0):+.0f} %)"
     if is_accepted(tuned, runs):
         return f"Accepted: {held_out}; every requirement is kept."
@@ -165,7 +164,7 @@ def verification_table(report: Report, runs: Sequence[ScenarioComparison]) -> No
     """Every scenario before and after on the exact simulator, and the means of both roles."""
     rows: list[list[Any]] = []
     for one in runs:
-        pairs = ((getattr(one.before, key), getattr(one.after, key)) for key in MEASURES)
+        pairs = ((_scaled(one.before, key), _scaled(one.after, key)) for key in MEASURES)
         rows.append([one.scenario.name, one.role, *(value for pair in pairs for value in pair)])
         if not one.after.run.status.ok:
             report.say(f"{one.scenario.name}: {one.after.run.status.message}")
@@ -199,7 +198,12 @@ def _load_errors(rows: Sequence[Sequence[Any]]) -> list[str]:
     ]
 
 
-MEASURES = ("rms", "peak", "command_noise", "load_error")
+MEASURES = {"rms": 1e6, "peak": 1e6, "command_noise": 1.0, "load_error": 1e-3}  # and the factor from SI to the table
+
+
+def _scaled(result: ScenarioResult, measure: str) -> float | None:
+    value = getattr(result, measure)
+    return None if value is None else MEASURES[measure] * float(value)
 
 
 def _pareto(report: Report, result: TuningResult, noise_limits: Sequence[float]) -> None:
@@ -250,7 +254,8 @@ def tuning_figure(tuned: GainSearch, runs: list[ScenarioComparison], plan: Tunin
     left.plot([entry[1] for entry in history], [entry[3] for entry in history], "o-", ms=3)
     left.xaxis.get_major_locator().set_params(integer=True)
     left.set(xlabel="linearisations", ylabel="objective", title="search", ylim=(0, None))
-    scenario, old, new = runs[-3].scenario, runs[-3].before, runs[-3].after
+    shown = max((run for run in runs if run.role == "held out"), key=lambda run: run.before.rms)
+    scenario, old, new = shown.scenario, shown.before, shown.after
     right.plot(old.run.time, 1e6 * old.run.error, lw=0.8, label="given")
     right.plot(new.run.time, 1e6 * new.run.error, lw=0.8, label="tuned")
     title = f"held out: {scenario.name}"

@@ -4,6 +4,7 @@ import dataclasses
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import jax
@@ -15,7 +16,7 @@ from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.model.parameters import Drive
 from diffdrive.results import Result, Status
-from tuning.checked_logs import CheckedLogs, as_logs, check_logs
+from tuning.checked_logs import CheckedLogs, checked
 from tuning.diagnosis.as_json import as_json
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.cause_words import headlines
@@ -28,6 +29,7 @@ from tuning.diagnosis.next_experiment import Experiment, next_experiment
 from tuning.diagnosis.verdict import UNSURE, Belief
 from tuning.identification.scale_noise import unstated_noise
 from tuning.progress import Progress, reporting
+from tuning.store.folder import FolderStore
 from tuning.store.store import Store
 
 AMOUNT_TOLERANCE = 0.3  # of what a log's fault would look like: so near is what was found, if it is that
@@ -59,8 +61,9 @@ class DiagnosisResult(Result):
     `verdict` is `none`, `effect` or `unknown`, `says` what it rests on; `causes` are the effects that were found, then
     those that were looked at, the surest first. `closed` is the share of the gap on held-out data that is gone with
     what was found, with its interval (None: nothing was found, or nothing was left to close). `axis` is the axis with
-    what was found, None where no cause was looked for; `next_motion` what would decide further. `details` is what
-    diagnosis.json holds, `diagnosis` the whole result of the search.
+    what was found, None where no cause was looked for, or where `notes` say why none can be; `next_motion` what would
+    decide further. `details` is what diagnosis.json holds, `diagnosis` the whole result of the search. Not ok: a log is
+    so wrong that no cause was looked for.
     """
 
     verdict: str
@@ -72,6 +75,7 @@ class DiagnosisResult(Result):
     details: Mapping[str, Any]
     diagnosis: Diagnosis
     logs: CheckedLogs
+    notes: tuple[str, ...]
     status: Status
 
     schema: ClassVar[str] = "diagnosis/1"
@@ -104,8 +108,9 @@ def diagnose(
     most_effects: int = MOST_EFFECTS,
     tolerance: float = TOLERANCE,
     loads: Mapping[str, float] | None = None,
-    store: Store | None = None,
+    store: Store | str | Path | None = None,
     progress: Progress | None = None,
+    throw: bool = False,
 ) -> DiagnosisResult:
     """Find which unmodelled effects make an axis differ from its logs, and how far the gap shrinks with them.
 
@@ -115,17 +120,19 @@ def diagnose(
     Args:
         axis: What is believed of the machine, right to `tolerance`.
         logs: One or several of `Log`, files, data frames or dicts of arrays [n]: every sample of the controller, in
-            both directions and at two speeds.
+            both directions and at two speeds; or `CheckedLogs`, which are not looked over again.
         without: Effects that are not to be considered, by name.
         most_effects: How many are looked for.
         tolerance: Relative uncertainty of the axis's parameters.
         loads: Force on the guides (N) by the log's name, where the log does not say it.
-        store: Where finished parts are kept, from which the same call continues.
+        store: A folder where finished parts are kept, from which the same call continues.
         progress: Called with (stage, done, of how many).
+        throw: Raise an error where a log is so wrong that no cause was looked for.
 
     Raises:
         LogError: A log cannot be used.
         ParameterError: No effect has this name.
+        ResultError: No cause was looked for, with `throw`.
 
     Examples:
         >>> why = diagnose(axis, ["lap1.csv", "lap2.csv"])
@@ -136,27 +143,29 @@ def diagnose(
     for name in without:
         if name not in EFFECTS:
             raise ParameterError(f"without: no effect {name!r}; known: {', '.join(EFFECTS)}")
-    checked = check_logs(axis, as_logs(axis, logs), loads=loads)
+    used = checked(axis, logs, loads=loads)
     with reporting(progress) as tell:
         found = diagnose_checked(
-            axis, checked, without=without, most_effects=most_effects, tolerance=tolerance, store=store, progress=tell
-        )
+            axis, used, without=without, most_effects=most_effects, tolerance=tolerance, store=FolderStore.of(store),
+            progress=tell,
+        )  # fmt: skip
         tell("looking for the motion that would decide", 0, 1)
-        offer = next_motion_of(axis, checked, found)
+        offer = next_motion_of(axis, used, found)
         tell("looking for the motion that would decide", 1, 1)
-    return diagnosis_result(axis, checked, found, offer)
+    result = diagnosis_result(axis, used, found, offer)
+    return result.require_ok() if throw else result
 
 
-def diagnose_checked(axis: Axis, checked: CheckedLogs, *, most_effects: int = MOST_EFFECTS, **more: Any) -> Diagnosis:
+def diagnose_checked(axis: Axis, used: CheckedLogs, *, most_effects: int = MOST_EFFECTS, **more: Any) -> Diagnosis:
     """The engine's answer, as sure as the checks of the logs allow; `more` is what the engine takes."""
-    most = 0 if is_void(checked) else most_effects
-    found = diagnose_drive(axis.drive, axis.controller, checked.logs, most_effects=most, **more)
-    return downgrade(found, checked.fatal)
+    most = 0 if is_void(used) else most_effects
+    found = diagnose_drive(axis.drive, axis.controller, used.logs, most_effects=most, **more)
+    return downgrade(found, used.fatal)
 
 
-def diagnosis_result(axis: Axis, checked: CheckedLogs, found: Diagnosis, offer: Experiment) -> DiagnosisResult:
+def diagnosis_result(axis: Axis, used: CheckedLogs, found: Diagnosis, offer: Experiment) -> DiagnosisResult:
     """The result, for its readers."""
-    searched = not is_void(checked)
+    searched = not is_void(used)
     findings = [
         {
             "log": log,
@@ -165,11 +174,11 @@ def diagnosis_result(axis: Axis, checked: CheckedLogs, found: Diagnosis, offer: 
             "found": finding.message,
             "mend": finding.remedy,
         }
-        for log, finding in checked.notable
+        for log, finding in used.notable
     ]
     noise = unstated_noise(axis.drive, float(found.logged.noise)) if searched else ""
     details = as_json(found, offer) | {
-        "logs": [log.name for log in checked.logs], "findings": findings, "searched": searched, "scale_noise": noise,
+        "logs": [log.name for log in used.logs], "findings": findings, "searched": searched, "scale_noise": noise,
     }  # fmt: skip
     causes = tuple(
         Cause(
@@ -178,19 +187,29 @@ def diagnosis_result(axis: Axis, checked: CheckedLogs, found: Diagnosis, offer: 
         )
         for cause in details["causes"]
     )  # fmt: skip
-    augmented = augmented_axis(axis, found) if searched else None
+    notes = [f"{log}: {finding.message}; {finding.remedy}" for log, finding in used.notable]
+    augmented = None
+    if searched:
+        try:
+            augmented = augmented_axis(axis, found)
+        except DiffdriveError as problem:
+            notes.append(f"no axis holds what was found: {problem}")
+    verdict = found.verdict
+    status = (
+        Status(True, verdict.verdict, code=verdict.verdict) if searched else Status(False, verdict.says, code="void")
+    )
     return DiagnosisResult(
-        found.verdict.verdict, found.verdict.says, causes, found.closed, augmented,
-        offer, details, found, checked, Status(True, found.verdict.verdict, code=found.verdict.verdict),
+        verdict.verdict, verdict.says, causes, found.closed, augmented, offer, details, found, used, tuple(notes),
+        status,
     )  # fmt: skip
 
 
-def augmented_axis(axis: Axis, found: Diagnosis) -> Axis | None:
-    """The axis with what was found, whose controller believes in the recalibrated machine; None where none can be."""
-    try:
-        return dataclasses.replace(axis.with_drive(augmented_drive(found)), name="augmented")
-    except DiffdriveError:
-        return None
+def augmented_axis(axis: Axis, found: Diagnosis) -> Axis:
+    """The axis with what was found, whose controller believes in the recalibrated machine.
+
+    Raises `DiffdriveError` where no axis can be that.
+    """
+    return dataclasses.replace(axis.with_drive(augmented_drive(found)), name="augmented")
 
 
 def augmented_drive(found: Diagnosis) -> Drive:
@@ -202,17 +221,17 @@ def augmented_drive(found: Diagnosis) -> Drive:
     return dataclasses.replace(drive, effects=in_order(drive.effects))
 
 
-def next_motion_of(axis: Axis, checked: CheckedLogs, found: Diagnosis) -> Experiment:
+def next_motion_of(axis: Axis, used: CheckedLogs, found: Diagnosis) -> Experiment:
     """The motion that would decide; before any, what is to be mended where a log is wrong."""
-    if not checked.fatal:
+    if not used.fatal:
         return next_experiment(found, axis)
-    log, first = _most_urgent(found, checked.fatal)
+    log, first = _most_urgent(found, used.fatal)
     return Experiment("", [], 0.0, f"before any motion, mend {log}: {first.remedy}")
 
 
-def is_void(checked: CheckedLogs) -> bool:
+def is_void(used: CheckedLogs) -> bool:
     """Whether a search for causes would be a waste of minutes, and the axis that it finds a trap."""
-    return any(finding.invalidates_log for _, finding in checked.fatal)
+    return any(finding.invalidates_log for _, finding in used.fatal)
 
 
 def downgrade(found: Diagnosis, fatal: Fatal) -> Diagnosis:

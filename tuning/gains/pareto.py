@@ -54,7 +54,7 @@ def pareto_front(
                 ParetoPoint(
                     float(noise), float(found.point.objective), bool(found.feasible),
                     float(np.mean([run.command_noise for run in runs])),
-                    1e-6 * float(np.mean([run.rms for run in runs])),
+                    float(np.mean([run.rms for run in runs])),
                 )
             )  # fmt: skip
         tell("Pareto front", len(noise_limits), len(noise_limits))

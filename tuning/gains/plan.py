@@ -170,10 +170,10 @@ class ScenarioResult:
     """One scenario on the exact simulator, after it has settled."""
 
     run: Run
-    rms: float  # um
-    peak: float  # um
+    rms: float  # m
+    peak: float  # m
     command_noise: float  # N
-    load_error: float | None  # kN
+    load_error: float | None  # N
 
 
 def run_scenario(
@@ -188,6 +188,6 @@ def run_scenario(
     part = run.between(settle, np.inf)
     missed = None
     if run.load_estimate is not None:
-        missed = 1e-3 * float(metrics.rms((run.load_estimate - run.load)[part]))
+        missed = float(metrics.rms((run.load_estimate - run.load)[part]))
     noise = float(metrics.command_noise(run.command[part]))
-    return ScenarioResult(run, 1e6 * run.rms(settle), 1e6 * run.peak(settle), noise, missed)
+    return ScenarioResult(run, run.rms(settle), run.peak(settle), noise, missed)

@@ -21,6 +21,11 @@ from tuning.gains.verification import (
     noise_warning,
 )
 
+BELIEVED = (
+    "The tuned axis has the friction that the controller is to believe, not the machine's: simulate it with the axis "
+    "that was given as the machine."
+)
+
 
 @dataclass(frozen=True, repr=False, eq=False)
 class TuningResult(Result):
@@ -48,7 +53,7 @@ class TuningResult(Result):
     objective: Objective
     status: Status
 
-    schema: ClassVar[str] = "tuning/1"
+    schema: ClassVar[str] = "tuning/2"
 
     @property
     def margins(self) -> WorstMargins:
@@ -83,9 +88,9 @@ class TuningResult(Result):
         return {
             "accepted": self.accepted,
             "gains": {name: {"before": was, "after": now} for name, (was, now) in self.gains.items()},
-            "tuned_on": self.tuned_on._asdict(),
-            "held_out": self.held_out._asdict(),
-            "margins": self.margins._asdict(),
+            "tuned_on": self.tuned_on.as_dict(),
+            "held_out": self.held_out.as_dict(),
+            "margins": self.margins.as_dict(),
             "notes": list(self.notes),
         }
 
@@ -111,13 +116,14 @@ def tuning_result(
     """The result, with what is to be said of it."""
     accepted = is_accepted(tuned, runs)
     notes = [*prepared.notes, *(note for note in [noise_warning(prepared, runs)] if note), *remarks(tuned)]
+    notes += [BELIEVED] if prepared.friction else []
     bad = [f"{run.scenario.name}: {run.after.run.status.message}" for run in runs if not run.after.run.status.ok]
     names = {gain.path: name for name, gain in axis.controller.tunables.items()}
     gains = {
         names.get(free.path, free.path): (float(was), float(now))
         for free, was, now in zip(prepared.space.free, tuned.before, tuned.after, strict=True)
     }
-    code = "ok" if accepted else "interrupted" if tuned.status.startswith("interrupted") else "not_accepted"
+    code = "ok" if accepted else "interrupted" if tuned.interrupted else "not_accepted"
     message = tuned.status if accepted or not bad else bad[0]
     return TuningResult(
         axis=replace(tuned_axis(axis, tuned.controller), name="tuned"),
@@ -144,6 +150,6 @@ def remarks(tuned: GainSearch) -> list[str]:
         f"Held back by the {requirement.name}: 1 % more of it would gain {requirement.gain:.2g} % of the objective."
         for requirement in tuned.binding
     ]
-    mend = "no gains near these keep it: relax it" if tuned.status.startswith("infeasible") else "search on"
+    mend = "no gains near these keep it: relax it" if tuned.best.state.infeasible else "search on"
     found += [f"NOT KEPT: {name}, missed by {100 * share:.3g} %; {mend}." for name, share in tuned.violated.items()]
     return found

@@ -54,6 +54,16 @@ class SearchState:
     best: tuple[float, ...] | None = None  # theta of the lowest objective with every requirement kept
     best_objective: float = np.inf
 
+    @property
+    def interrupted(self) -> bool:
+        """Whether somebody stopped it."""
+        return self.status.startswith("interrupted")
+
+    @property
+    def infeasible(self) -> bool:
+        """Whether it ended where no step comes nearer to what is required."""
+        return self.status.startswith("infeasible")
+
 
 @dataclass(frozen=True)
 class SearchResult:

@@ -70,7 +70,7 @@ def _with_default_limits(
         )
     if required.load_error is None and before[0].load_error is not None:
         errors = np.array(
-            [1e3 * DEFAULT_LOAD_ERROR_FACTOR * result.load_error for result in before if result.load_error is not None]
+            [DEFAULT_LOAD_ERROR_FACTOR * result.load_error for result in before if result.load_error is not None]
         )
         required = required._replace(load_error=errors)
         notes.append(

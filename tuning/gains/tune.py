@@ -91,6 +91,11 @@ class GainSearch:
         return self.best.state.status
 
     @property
+    def interrupted(self) -> bool:
+        """Whether somebody stopped it."""
+        return self.best.state.interrupted
+
+    @property
     def feasible(self) -> bool:
         """Whether every requirement is kept."""
         return bool(self.point.violation <= FEASIBILITY_TOLERANCE)
@@ -159,7 +164,7 @@ def tune(
             if result.linearised.point.violation <= FEASIBILITY_TOLERANCE
             else np.inf
         )
-        if result.state.status.startswith("interrupted"):
+        if result.state.interrupted:
             break
     best = min(results, key=lambda result: float(result.linearised.point.penalised_objective))
     return _gain_search(controller, space, best, start_points[0], results, objectives, screening)

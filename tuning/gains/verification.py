@@ -84,14 +84,13 @@ def noise_warning(prepared: TuningSetup, runs: Sequence[ScenarioComparison]) -> 
         return ""
     return (
         f"On the exact simulator the command noise is up to {noisiest:.3g} N: the limit of {limit:.3g} N is kept on "
-        "the smooth one, in which the steps of the scale are white noise. Ask for a lower --noise."
+        "the smooth one, in which the steps of the scale are white noise. Ask for a lower one."
     )
 
 
 def is_accepted(tuned: GainSearch, runs: Sequence[ScenarioComparison]) -> bool:
     """Whether every requirement is kept, and every verification run ok."""
-    done = not tuned.status.startswith("interrupted")
-    return done and tuned.feasible and all(run.after.run.status.ok for run in runs)
+    return not tuned.interrupted and tuned.feasible and all(run.after.run.status.ok for run in runs)
 
 
 class ErrorComparison(NamedTuple):
@@ -104,6 +103,10 @@ class ErrorComparison(NamedTuple):
     command_noise_before: float  # N
     command_noise_after: float
 
+    def as_dict(self) -> dict[str, float]:
+        """By names that carry their unit."""
+        return {f"{name}_{'N' if 'noise' in name else 'm'}": value for name, value in self._asdict().items()}
+
     @classmethod
     def of(cls, runs: Sequence[ScenarioComparison]) -> "ErrorComparison":
         """Of these scenarios."""
@@ -112,10 +115,10 @@ class ErrorComparison(NamedTuple):
             return float(np.mean([getattr(getattr(run, which), of) for run in runs]))
 
         def largest(which: str) -> float:
-            return 1e-6 * max(getattr(run, which).peak for run in runs)
+            return max(getattr(run, which).peak for run in runs)
 
         return cls(
-            1e-6 * mean("before", "rms"), 1e-6 * mean("after", "rms"), largest("before"), largest("after"),
+            mean("before", "rms"), mean("after", "rms"), largest("before"), largest("after"),
             mean("before", "command_noise"), mean("after", "command_noise"),
         )  # fmt: skip
 
@@ -127,6 +130,13 @@ class WorstMargins(NamedTuple):
     phase_margin: float  # deg
     peak_sensitivity: float
     stable: bool
+
+    def as_dict(self) -> dict[str, object]:
+        """By names that carry their unit."""
+        return {
+            "gain_margin_dB": self.gain_margin, "phase_margin_deg": self.phase_margin,
+            "peak_sensitivity": self.peak_sensitivity, "stable": self.stable,
+        }  # fmt: skip
 
     @classmethod
     def of(cls, margins: Margins) -> "WorstMargins":

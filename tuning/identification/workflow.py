@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -19,9 +20,9 @@ from tuning.identification.identify import identify as fit_drive
 from tuning.identification.refinement import was_interrupted
 from tuning.identification.scale_noise import unstated_noise
 from tuning.progress import Progress, reporting, searching
+from tuning.store.folder import FolderStore
 from tuning.store.store import Store
 
-PLANT = ("mass", "constant_force")
 CODES = {"converged": "ok", "converged, but structure remains": "structure_remains"}
 
 
@@ -59,7 +60,10 @@ class IdentificationResult(Result):
         return known.get(stem) or known[both]
 
     def interval(self, name: str) -> tuple[float, float]:
-        """The 95 % interval of one parameter; without end (infinite) where the logs do not determine it."""
+        """The 95 % interval of one parameter.
+
+        Without end (infinite) where the logs do not determine it; of no width for one that was held fixed.
+        """
         estimate = self.estimate(name)
         if estimate.status in ("not determined", "at its bound"):
             return (-np.inf, np.inf)
@@ -130,7 +134,7 @@ def identify(
     starts: int = 6,
     seed: int = 0,
     force: bool = False,
-    store: Store | None = None,
+    store: Store | str | Path | None = None,
     progress: Progress | None = None,
     throw: bool = False,
 ) -> IdentificationResult:
@@ -149,7 +153,7 @@ def identify(
         starts: Starting points of the search.
         seed: Of the starting points.
         force: Identify from logs that would mislead, all the same.
-        store: Where finished searches are kept, from which the same call continues.
+        store: A folder where finished searches are kept, from which the same call continues.
         progress: Called with (stage, done, of how many).
         throw: Raise an error where the search does not converge.
 
@@ -177,7 +181,7 @@ def identify(
     with reporting(progress) as tell, searching(tell, "fitting friction, mass and delay") as step:
         found = fit_drive(
             used.logs, axis.drive, fixed=[_parameter_name(name) for name in fixed], bounded=names, starts=starts,
-            seed=seed, store=store, progress=step,
+            seed=seed, store=FolderStore.of(store), progress=step,
         )  # fmt: skip
     result = _result(axis, found, used, others)
     return result.require_ok() if throw else result

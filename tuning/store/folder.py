@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive.runtime import arithmetic_signature
 from diffdrive.support.atomic_write import atomic_write, remove_temporary
 from tuning.store.edition import code_digest
-from tuning.store.store import Arrays, digest
+from tuning.store.store import Arrays, Store, digest
 
 
 class FolderStore:
@@ -30,6 +30,11 @@ class FolderStore:
     def in_folder(cls, out: Path | None, name: str) -> "FolderStore | None":
         """Those of that name in a command's folder; None without a folder."""
         return None if out is None else cls(out / name)
+
+    @classmethod
+    def of(cls, store: "Store | str | Path | None") -> "Store | None":
+        """A store as it is, or that of a folder by its path."""
+        return cls(Path(store)) if isinstance(store, str | Path) else store
 
     def _path(self, key: str) -> Path:
         return self.folder / f"{digest(self._context, key)}.npz"

@@ -5,7 +5,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -51,6 +51,7 @@ class SweepResult(Result):
     tolerance: float | None  # m
     by: str
     status: Status
+    notes: tuple[str, ...] = ()
 
     schema: ClassVar[str] = "sweep/1"
 
@@ -155,6 +156,7 @@ def sweep(
     out: str | Path | None = None,
     engine: Engine | None = None,
     progress: Progress | None = None,
+    throw: bool = False,
 ) -> SweepResult:
     """Run an axis on many machines, under many loads, with noise of its own each, and say how often it misses.
 
@@ -179,8 +181,10 @@ def sweep(
         out: A folder for the runs.
         engine: Shares the parts out among processes (`tuning.sweeps.workers`, `tuning.sweeps.cluster`).
         progress: Called with (stage, done, of how many).
+        throw: Raise an error where a machine diverged.
 
     Raises:
+        ResultError: A machine diverged, with `throw`.
         ParameterError: A sweep that cannot be; names what is wrong.
         MotionError: A motion leaves the axis's limits.
 
@@ -201,7 +205,7 @@ def sweep(
         )  # fmt: skip
     if folder is not None:
         result.save(folder)
-    return result
+    return result.require_ok() if throw else result
 
 
 def require_runnable(plan: SweepPlan, folder: Path | None, *, tolerance: float | None, by: str) -> None:
@@ -237,7 +241,8 @@ def run_plan(
 
 def sweep_plan(
     axis: Axis, motion: Motion | Sequence[Motion], *, vary: Mapping[str, str], against: Mapping[str, Axis],
-    machine: Axis | None, samples: int, load: float | str, **more: Any,
+    machine: Axis | None, samples: int, load: float | str, settle: float, seed: int, method: Method,
+    precision: Precision,
 ) -> SweepPlan:  # fmt: skip
     """The plan of a sweep; raises `ParameterError` and `MotionError` for one that cannot be."""
     if axis.name in against:
@@ -259,8 +264,9 @@ def sweep_plan(
     controllers = {axis.name: axis.controller} | {name: other.controller for name, other in against.items()}
     texts = tuple(f"{name}={text}" for name, text in vary.items())
     return SweepPlan.of(
-        believed, controllers, motions, texts, samples, load=str(load), most_in_a_part=most_in_a_part(), **more
-    )
+        believed, controllers, motions, texts, samples, load=str(load), most_in_a_part=most_in_a_part(),
+        settle=settle, seed=seed, method=method, precision=precision,
+    )  # fmt: skip
 
 
 @contextlib.contextmanager

@@ -38,7 +38,7 @@ def contradictions(logs: Sequence[Log], axis: Axis | None = None) -> Iterator[Fi
             f"{low_log.name} implies {what} of {nominal * low.value:.3g} {unit}, {high_log.name} "
             f"{nominal * high.value:.3g} {unit}: one machine has not both",
             "logs of two machines, of two loads that no column holds, or before and after a change: identify each by "
-            "itself, or state what lay on the table (--load)",
+            "itself, or state what lay on the table",
             "machines differ",
             ("other machine", "gain"),
         )

@@ -75,8 +75,8 @@ def _subfolder(report: Report, name: str) -> Path | None:
 
 def _as_dict(judged: list[ScenarioResult], margins: dict[str, float]) -> GainFigures:
     return {
-        "mean_rms_um": float(np.mean([one.rms for one in judged])),
-        "worst_peak_um": float(np.max([one.peak for one in judged])),
+        "mean_rms_um": 1e6 * float(np.mean([one.rms for one in judged])),
+        "worst_peak_um": 1e6 * float(np.max([one.peak for one in judged])),
         "command_noise_N": float(np.max([one.command_noise for one in judged])),
         "runs_ok": all(one.run.status.ok for one in judged),
         **margins,

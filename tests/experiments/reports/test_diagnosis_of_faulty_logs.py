@@ -45,6 +45,8 @@ def test_of_a_reversed_command_no_cause_is_looked_for_and_no_drive_file_written(
     assert not (out / "augmented.toml").exists()
     assert not (out / "causes.csv").exists()
     assert "No cause was looked for" in (out / "report.html").read_text()
+    status = json.loads((out / "diagnosis.json").read_text())["status"]
+    assert (status["ok"], status["code"]) == (False, "void")
 
 
 def test_a_fatal_finding_lowers_the_confidence_and_is_told(constant_force_diagnosis, command_for, capsys):
