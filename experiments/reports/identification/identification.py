@@ -192,7 +192,7 @@ def _hardly_determined(found: Identification) -> list[str]:
     notes = []
     for one in found.estimates:
         half = 0.5 * (one.high - one.low)
-        as_believed = one.low <= one.believed <= one.high and one.low <= 0.0 <= one.high  # nothing is odd about a zero
+        as_believed = one.believed == 0.0 and one.low <= 0.0 <= one.high  # nothing is odd about a zero
         if one.status != "fitted" or half <= HARDLY * abs(one.value) or as_believed:
             continue
         tied = [

@@ -1,6 +1,7 @@
 """What `diffdrive identify` draws and looks along, piece by piece."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.loop.simulate import simulate
 from experiments.reports.identification.forest import forest
+from experiments.reports.identification.identification import _hardly_determined
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.emps import axis as emps
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
@@ -59,3 +61,14 @@ def test_the_emps_drive_file_holds_the_published_parameters():
         (published.plant, published.friction)
     )
     assert held.sampling.rate == emps.SAMPLING.rate
+
+
+def test_a_wide_interval_gets_a_note_unless_the_file_says_zero():
+    rows = [
+        ParameterEstimate("bristle_damping", "N*s/m", 100.0, 90.0, -300.0, 500.0, 3.0, 3e3, "fitted"),
+        ParameterEstimate("constant_force", "N", 0.0, 0.1, -0.3, 0.5, -9.0, 9.0, "fitted"),
+        ParameterEstimate("mass", "kg", 100.0, 90.0, 70.0, 110.0, 3.0, 3e3, "fitted"),
+    ]
+    notes = _hardly_determined(SimpleNamespace(estimates=rows, correlated=[]))
+    assert ["bristle_damping" in notes[0], "mass" in notes[1]] == [True, True]
+    assert len(notes) == 2
