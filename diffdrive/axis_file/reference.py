@@ -87,7 +87,7 @@ def _parameter_rows(
             continue
         declared: Quantity = field.metadata["quantity"]
         direction_note = " (per direction)" if declared.directional else ""
-        unit = "-" if declared.unit == "1" else declared.unit
+        unit = "-" if declared.unit == "1" else declared.unit.replace("*", " ")
         meaning = declared.meaning + direction_note
         yield f"[{table}]", kind, field.name, unit, _range(declared), _default(field, declared), meaning
 

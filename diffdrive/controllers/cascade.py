@@ -31,8 +31,8 @@ class Cascade(Controller):
     The velocity is the backward difference over `velocity_samples` samples, (y[k] - y[k-n]) / (n T).
     """
 
-    kp: Scalar = quantity("1/s", "position loop gain", at_least=0.0)
-    kv: Scalar = quantity("N*s/m", "velocity loop gain", at_least=0.0)
+    kp: Scalar = quantity("1/s", "Kv factor of the position loop", at_least=0.0)
+    kv: Scalar = quantity("N*s/m", "velocity gain, not the Kv factor", at_least=0.0)
     ki: Scalar = quantity("N/m", "integral gain of the velocity loop", at_least=0.0, default=0.0)
     velocity_feedforward: Scalar = quantity(
         "1", "share of the reference velocity fed forward", at_least=0.0, default=0.0

@@ -20,9 +20,10 @@ measurement = 8.3e-16           # m^2: resolution^2 / 12
 """,
     "cascade": """[controller]
 kind = "cascade"                # position P, velocity PI: the loop of most CNCs
-kp = 50.0                       # 1/s: the position loop's K_v
-kv = 1e5                        # N s/m: the velocity loop's gain
-ki = 1e6                        # N/m: its integral gain; left out: none
+kp = 50.0                       # 1/s: the Kv factor of the position loop; "3 m/min/mm" is read, too
+                                # (1 (m/min)/mm = 16.67 1/s)
+kv = 1e5                        # N s/m: velocity gain, NOT the Kv factor
+ki = 1e6                        # N/m: its integral gain, kv / T_n with the reset time T_n in s; left out: none
 velocity_feedforward = 1.0      # share of the reference velocity that is fed forward
 # feedforward = true            # inertia and damping of [plant] as well
 
