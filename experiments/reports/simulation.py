@@ -1,5 +1,6 @@
 """The commands that work on one drive file: simulate and convergence."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from diffdrive.motion.text import numbers, parse_load, parse_motion, require_lon
 from diffdrive.observers.convergence import convergence_gains, time_constants
 from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
+from experiments.reports.readable import shown
 from experiments.reports.report import Report, new_figure
 
 if TYPE_CHECKING:
@@ -64,7 +66,7 @@ def simulate_drive(
                 sampling=description.sampling, limits=description.limits, seed=seed,
             )  # fmt: skip
         if run.status.ok:
-            report.values(
+            report.keep(
                 "result",
                 peak_error_um=1e6 * run.peak(settle),
                 rms_error_um=1e6 * run.rms(settle),
@@ -72,6 +74,7 @@ def simulate_drive(
                 command_noise_N=float(metrics.command_noise(run.command)),
                 from_s=settle,
             )
+            report.print(_in_words(report.data["result"]))
             if run.load_estimate is not None:
                 _load(report, float(run.load[-1]), float(run.load_estimate[-1]))
         report.values("run", status=run.status.message)
@@ -79,6 +82,14 @@ def simulate_drive(
             write_run(report.out / "run.csv", run)
             report.figure("run", run_figure(run))
     return run.status.ok
+
+
+def _in_words(result: Mapping[str, float]) -> str:
+    peak, rms, command, noise, start = (shown(number) for number in result.values())
+    return (
+        f"Result: peak error {peak} um, RMS error {rms} um, peak command {command} N, command noise {noise} N RMS; "
+        f"counted from {start} s on"
+    )
 
 
 def _load(report: Report, load: float, estimate: float) -> None:

@@ -44,7 +44,8 @@ CAUSES = ("effect", "round", "evidence", "confidence", "parameters with 95 % int
 NOMINAL = ("parameter", "unit", "drive file", "recalibrated", "low", "high", "with what was found", "low", "high")
 FOUND_FIRST = (
     "Causes: what was found, then what else was fitted, the surest first; the rest of the catalogue promised less when "
-    "screened. Round 1: alone, 2 and more: beside what was found before. Evidence: drop of -2 ln likelihood"
+    "screened. Round 1: alone, 2 and more: beside what was found before. Evidence: drop of -2 ln likelihood. Wave: "
+    "A cos(2 pi x / period - phase), x the table position (or time) from its zero"
 )
 PICTURES = {
     "missing_force": f"The force that the model lacks, on held-out data ({BLANK}).",

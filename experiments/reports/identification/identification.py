@@ -202,13 +202,13 @@ def _hardly_determined(found: Identification) -> list[str]:
             if _named(mine) == one.name
         ]
         if one.low < 0.0 < one.high:
-            text = f"{one.name}: the logs do not tell it from 0"
+            text = f"{one.name}: the logs do not distinguish it from 0"
         else:
             text = f"{one.name}: hardly determined (± {100.0 * half / abs(one.value):.0f} %)"
         because = (
-            f", since they hardly tell it from {_named(max(tied)[1])}"
+            f": the logs hardly distinguish it from {_named(max(tied)[1])}"
             if tied
-            else ", since what the logs show hardly depends on it"
+            else ": the log excites it little, or what the model does not explain widens its interval"
         )
         notes.append(f"- {text}{because}.")
     return notes
