@@ -1,7 +1,7 @@
 """Whether the model suffices: white innovations, and no force missing.
 
-A filter that is told of a process force whitens its innovations even where the model is wrong, so both are looked at:
-what the past of the innovations foretells, and how large a force the filter had to invent.
+A filter with a process force whitens its innovations even where the model is wrong, so both are looked at: how much of
+the innovations is predictable from earlier ones, and how large a force the filter had to invent.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,7 @@ class Adequacy(NamedTuple):
     """What is left when the model has explained what it can."""
 
     p_value: float  # Ljung-Box: how often white noise would look like these innovations
-    foretold: float  # share of the innovations' variance that an autoregression foretells from their past
+    foretold: float  # share of the innovations' variance that an autoregression predicts from their past
     missing: float  # N, RMS of the force that the filter had to invent
     share: float  # of the Coulomb friction
     gain: float  # in deviance, by letting the filter invent it
@@ -35,7 +35,7 @@ class Adequacy(NamedTuple):
 
     @property
     def is_coloured(self) -> bool:
-        """Innovations that their past foretells."""
+        """Innovations that are predictable from earlier ones."""
         return not self.p_value >= IMPROBABLE and self.foretold > PREDICTABLE
 
     @property
@@ -49,23 +49,29 @@ class Adequacy(NamedTuple):
         if np.isnan(self.missing):
             return "the logs are too short, or too torn, to say whether a force is missing"
         force = f"{self.missing:.2g} N RMS ({100 * self.share:.2g} % of the Coulomb friction)"
+        predictable = (
+            f"{100 * self.foretold:.2g} % of the innovations' variance is predictable from earlier innovations "
+            f"({_chance(self.p_value)})"
+        )
         if self.is_coloured and not self.lacks_force:
             return (
-                f"structure remains, though no force is missing ({force}): {100 * self.foretold:.2g} % of the "
-                f"innovations' variance could have been foretold from their past (p = {self.p_value:.1g}); the "
-                "measuring noise is coloured, as after a filter or between the counts of a coarse scale"
+                f"the model does not explain all of the logs, though no force is missing ({force}): {predictable}; the "
+                "measuring noise is coloured, as after a filter or between the resolution steps of a coarse scale"
             )
         if self.lacks_force:
             return (
-                f"structure remains: the model lacks a force of {force}, and {100 * self.foretold:.2g} % of the "
-                f"innovations' variance could have been foretold from their past (p = {self.p_value:.1g}); the "
+                f"the model does not explain the logs: a force of {force} is missing, and {predictable}; the "
                 "parameters are the best compromise of an incomplete model, and so are their intervals"
             )
         white = "white" if self.p_value >= IMPROBABLE else "as good as white"  # many samples show the least colour
         return (
             f"nothing is missing that these logs would show: the force left over is {force}, the innovations are "
-            f"{white} (p = {self.p_value:.2g}, {100 * self.foretold:.2g} % of their variance foretold)"
+            f"{white} (p = {self.p_value:.2g}, {100 * self.foretold:.2g} % of their variance predictable)"
         )
+
+
+def _chance(p_value: float) -> str:
+    return f"p < {IMPROBABLE:g}" if p_value < IMPROBABLE else f"p = {p_value:.2g}"
 
 
 def adequacy(
@@ -84,7 +90,7 @@ def adequacy(
     weights = np.linalg.solve(toeplitz + 1e-9 * np.eye(lags), rho)
     foretold = (
         float(weights @ rho) - lags / counted
-    )  # what fitting so many weights to white noise would seem to foretell
+    )  # what fitting so many weights to white noise would seem to predict
     judged = np.isfinite(missing) & (innovation != 0.0)
     force = float(np.sqrt(np.mean(missing[judged] ** 2))) if judged.any() else float("nan")
     return Adequacy(float(scipy.stats.chi2.sf(statistic, lags)), max(0.0, foretold), force, force / friction, gain)

@@ -72,7 +72,7 @@ class Identification:
         """What to make of it; never just "converged" over structured innovations."""
         if self.search.status != "converged":
             return self.search.status
-        return "converged, but structure remains" if self.adequacy.has_structure else "converged"
+        return "converged; model incomplete" if self.adequacy.has_structure else "converged"
 
 
 def identify(

@@ -214,7 +214,7 @@ def drift_note(drive: Drive) -> str:
         drifts += f"; on the falling Stribeck curve an error grows by a factor e in {1e3 / grows:.2g} ms"
     return (
         f"open loop: {drifts}. A small figure shows that the errors of the forces cancel over the strokes, a large one "
-        "that they do not; neither shows a model that foretells the force"
+        "that they do not; neither shows a model that predicts the force"
     )
 
 

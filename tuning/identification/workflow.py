@@ -23,7 +23,7 @@ from tuning.progress import Progress, reporting, searching
 from tuning.store.folder import FolderStore
 from tuning.store.store import Store
 
-CODES = {"converged": "ok", "converged, but structure remains": "structure_remains"}
+CODES = {"converged": "ok", "converged; model incomplete": "structure_remains"}
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -149,7 +149,7 @@ def _missing_force(found: Identification, stretches: Sequence[Log]) -> Figure:
         if k:
             for axis in axes[:2]:
                 axis.axvline(time[0], color="k", lw=0.8, ls=":")
-    axes[0].set(ylabel="position, mm", title="Force that the model lacks")
+    axes[0].set(ylabel="position, mm", title="Missing force")
     axes[1].set(ylabel="missing force, N", xlabel="time, s")
     axes[2].set(ylabel="missing force, N", xlabel="position, mm")
     for axis in axes[1:]:
@@ -168,7 +168,7 @@ def _innovations(found: Identification, stretches: Sequence[Log]) -> Figure:
     left.axhspan(-band, band, color="C2", alpha=0.3, lw=0, label="95 % of white noise")
     left.vlines(np.arange(1, lags + 1), 0.0, autocorrelation(found.innovation, lags), color="C0", lw=1.2)
     left.axhline(0.0, color="k", lw=0.6)
-    left.set(xlabel="lag, samples", ylabel="autocorrelation", title="innovations: what their past foretells")
+    left.set(xlabel="lag, samples", ylabel="autocorrelation", title="innovations: how predictable from earlier ones")
     left.legend(fontsize=8)
     spread = float(np.std(counted))
     edge = 5.0 * spread

@@ -16,17 +16,24 @@ def gap_table(report: Report, result: IdentificationResult) -> None:
         found = result.gaps
     report.table(
         "gaps",
-        ("log", "role", "gap", "drive file", "identified"),
+        ("log", "role", "measure", "drive file", "identified"),
         [list(gap) for gap in found],
-        "The gap to the logs, RMS",
-        notes=_larger(found),
+        "Model against logs, RMS",
+        notes=[*_of_noise(found), *_larger(found)],
     )
     note = drift_note(result.axis.drive)
     report.say(f"{note[0].upper()}{note[1:]}.")
 
 
+def _of_noise(found: Sequence[Gap]) -> list[str]:
+    """What measures of the command in closed loop hold beside the model's error."""
+    if not any(gap.measure.startswith("closed loop: command") for gap in found):
+        return []
+    return ["Scale noise alone may make most of a closed-loop command difference; `diagnose` prints this floor."]
+
+
 def _larger(found: Sequence[Gap]) -> list[str]:
-    """Why a gap is larger with the identified drive, where one is."""
+    """Why a difference is larger with the identified drive, where one is."""
     larger = [f"{gap.log}, {gap.measure.rpartition(',')[0]}" for gap in found if gap.after > NOTABLY * gap.before]
     if not larger:
         return []

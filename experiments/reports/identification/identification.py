@@ -223,12 +223,12 @@ def print_remarks(report: Report, found: Identification) -> None:
     report.values("search", status=found.status, steps=found.search.steps, simulations=found.simulations)
     for note in found.notes:
         report.say(f"{readable.titled(note)}.")
-    report.values(
-        "accuracy",
-        noise_m=found.noise,
-        white_force_N=found.process_force,
-        condition=found.covariance.condition,
-        blocks=found.covariance.blocks,
+    condition, blocks = found.covariance.condition, found.covariance.blocks
+    report.keep("accuracy", noise_m=found.noise, white_force_N=found.process_force, condition=condition, blocks=blocks)
+    report.print(
+        f"Fit: position noise {readable.significant(1e9 * found.noise)} nm, process noise "
+        f"{readable.significant(found.process_force)} N per control period, condition number "
+        f"{readable.significant(condition, 2)}, {blocks} blocks for the intervals"
     )
     report.keep("adequacy", structured=found.adequacy.has_structure, **found.adequacy._asdict())  # said in words
     report.keep("starts", cost_over_best=[round(float(cost), 4) for cost in found.start_costs])
