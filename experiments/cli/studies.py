@@ -224,7 +224,7 @@ def log_study(
     ] = 30,
     seed: Seed = 1,
 ) -> None:
-    """The log checks on logs whose fault is known (docs/evidence/log-study.md): is it named, is a mend right?
+    """The log checks on logs whose fault is known (docs/evidence/log-study.md): is it named, is a remedy right?
 
     Simulates axes of ten kinds, does something to their logs, and asks the checks; then the same with sound logs, and
     with pairs of logs of one machine or of two. Takes two minutes of one core.

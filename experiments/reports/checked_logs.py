@@ -61,10 +61,10 @@ def read_and_check(
     if found:
         report.record(
             name,
-            ("log", "severity", "channel", "what", "mend"),
+            ("log", "severity", "channel", "what", "remedy"),
             [[log, one.severity, one.channel, one.message, one.remedy] for log, one in found],
         )
-        _list(report, found, f"What {', '.join(log.name for log in logs)} would mislead about, or limits")
+        _list(report, found, f"Findings in {', '.join(log.name for log in logs)}")
     return checked
 
 
@@ -74,7 +74,7 @@ def _list(report: Report, found: Sequence[tuple[str, Finding]], title: str) -> N
     for log, one in sorted(found, key=lambda item: SEVERITIES.index(item[1].severity)):
         severity = one.severity.upper() if one.severity == "fatal" else one.severity
         report.print(f"- {severity}: {log}, {one.channel}: {one.message}")
-        report.print(f"  Mend: {one.remedy}")
+        report.print(f"  Remedy: {one.remedy}")
     report.print("")
 
 
@@ -93,7 +93,7 @@ def read_sound_logs(
     if not force:
         require_sound(checked, "--force identifies all the same, and fits that as mass or friction")
     if checked.fatal:
-        report.say("FORCED over fatal findings: what follows is wrong as far as they are right.")
+        report.say("Fatal findings are overruled by --force: where they are right, what follows is wrong.")
     return checked
 
 

@@ -46,10 +46,13 @@ def check_logs(
 def _in_words(findings: int, fatal: int) -> str:
     if not findings:
         return "Nothing is wrong with them that could be seen."
-    found = f"{findings} finding{'s' if findings > 1 else ''}"
+    if findings == 1:
+        wrong = "correct the log first; what is fitted to it would be wrong."
+        return f"1 finding, fatal: {wrong}" if fatal else "1 finding, not fatal: the log can be used."
     if fatal:
-        return f"{found}, {fatal} of them fatal: mend the logs first, since what is made of them would be wrong."
-    return f"{found}, none of them fatal: they can be used."
+        wrong = "correct the logs first; what is fitted to them would be wrong."
+        return f"{findings} findings, {fatal} of them fatal: {wrong}"
+    return f"{findings} findings, none of them fatal: the logs can be used."
 
 
 def _row(log: Log) -> list[object]:

@@ -22,8 +22,8 @@ from tuning.identification.estimates import NORMAL
 
 NOT_NOTHING = 5e-4  # of confidence: what has less has no rivals that anyone would ask for
 TOO_FAR = (
-    "The drive file's drive is too far from the logs for the missing force to be told: the filter that would tell it "
-    "is lost along them, or runs away. Look at units and signs"
+    "The drive file is too far from the logs to compute the missing force: the filter loses track. "
+    "Check units and signs"
 )
 
 
@@ -65,18 +65,19 @@ def _size(found: Diagnosis) -> str:
     (nominal, recalibrated), floor = (one.force for one in found.rungs[:2]), found.floor
     if not recalibrated.told:
         return TOO_FAR
-    lacks = f"recalibrated it lacks {recalibrated.rms:.3g} N"
+    after = f"after recalibration {recalibrated.rms:.3g} N RMS"
     if not nominal.told or floor is None:
-        return f"{TOO_FAR}; {lacks}"
+        return f"{TOO_FAR}; {after}"
     (low, high), within = found.rungs[0].interval, recalibrated.rms < HIDDEN * floor
     return (
-        f"The drive file's model lacks {nominal.rms:.3g} N ({low:.3g} to {high:.3g}), {nominal.rms / floor:.2g} times "
-        f"the noise floor of {floor:.3g} N; {lacks}, which is {'that floor' if within else 'more than that floor'}"
+        f"Missing force with the drive file: {nominal.rms:.3g} N RMS ({low:.3g} to {high:.3g}), "
+        f"{nominal.rms / floor:.2g} times the noise floor of {floor:.3g} N; {after}, {'at' if within else 'above'} the "
+        "floor"
     )
 
 
 def _force(rung: Rung) -> float | None:
-    """The missing force (N); None where it cannot be told."""
+    """The missing force (N); None where it cannot be computed."""
     return rung.force.rms if rung.force.told else None
 
 
@@ -179,8 +180,8 @@ def _closed(found: Diagnosis) -> dict[str, object]:
     if len(found.rungs) == 2:
         return {"share": None, "interval": None, "says": "No effect was added."}
     if not (before.told and after.told and floor is not None):
-        untold = "the recalibrated drive" if after.told else "what was found"
-        says = f"On {found.split.says}: the filter that would tell the missing force is lost with {untold}"
+        lost = "the recalibrated drive" if after.told else "what was found"
+        says = f"On {found.split.says}: the missing force is not computed, since the filter loses track with {lost}"
         return {"share": None, "interval": None, "says": says + _in_closed_loop(found)}
     alike = np.array_equal(found.rungs[1].trusting, found.rungs[-1].trusting)
     on = (

@@ -144,13 +144,13 @@ def confirmed(verdict: Verdict, rungs: list[Rung], share: Closed | None) -> Verd
     if not names:
         return verdict
     if denied(rungs[-1], rungs[1], gained):
-        return verdict.doubted("what is held out is foreseen worse than without")
+        return verdict.doubted("the held-out data are predicted worse than without")
     if share is not None and (share.share < PROVED or share.low <= 0.0):
-        told = f"{100 * share.share:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f})"
-        return verdict.doubted(f"of the force that is missing in what is held out only {told} is gone")
+        gone = f"{100 * share.share:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f})"
+        return verdict.doubted(f"in the held-out data only {gone} of the missing force is gone")
     last = rungs[-1]
     floor = known_floor(rungs, last) if last.fitted.model.coarse and last.force.told else None
     if floor is not None and last.force.rms > DETAILS * floor:
         times = last.force.rms / floor
-        return verdict.doubted(f"the force that is still missing in what is held out is {times:.1f} times its floor")
+        return verdict.doubted(f"the force still missing in the held-out data is {times:.1f} times its floor")
     return verdict

@@ -169,7 +169,9 @@ def _exciting(found: Diagnosis, description: Axis) -> Experiment:
     telling = [one for one in found.where if one.p_value < SIGNIFICANT and one.dimension not in ELSEWHERE]
     text, does = _dwelling(telling[0] if telling else None, at)
     lies = (
-        f"of what the recalibrated drive lacks, {telling[0].says}" if telling else "the gap lies nowhere in particular"
+        f"of what the recalibrated drive leaves unexplained, {telling[0].says}"
+        if telling
+        else "the gap lies nowhere in particular"
     )
     try:
         run = require_within(_built(text, description.sampling.rate), limits)

@@ -227,7 +227,7 @@ def _closest(beliefs: list[Belief], taking: Sequence[bool], rest: str) -> str:
 def _nothing_found(base: Fitted, beliefs: list[Belief], lacks: bool) -> Verdict:
     """The verdict where no effect was worth it."""
     if lacks:
-        says = "structure remains that no effect of the catalogue explains"
+        says = "something is missing that no effect of the catalogue explains"
         return Verdict("unknown", _unsure(beliefs), 1.0, says)
     if strain(base) >= STRAINED:
         says = f"{furthest(base)}: the drive file is wrong by that much, or it makes up for an effect"

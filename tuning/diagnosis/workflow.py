@@ -222,11 +222,11 @@ def augmented_drive(found: Diagnosis) -> Drive:
 
 
 def next_motion_of(axis: Axis, used: CheckedLogs, found: Diagnosis) -> Experiment:
-    """The motion that would decide; before any, what is to be mended where a log is wrong."""
+    """The motion that would decide; before any, what is to be corrected where a log is wrong."""
     if not used.fatal:
         return next_experiment(found, axis)
     log, first = _most_urgent(found, used.fatal)
-    return Experiment("", [], 0.0, f"before any motion, mend {log}: {first.remedy}")
+    return Experiment("", [], 0.0, f"before any motion, correct {log}: {first.remedy}")
 
 
 def is_void(used: CheckedLogs) -> bool:
@@ -241,10 +241,10 @@ def downgrade(found: Diagnosis, fatal: Fatal) -> Diagnosis:
     log, first = _most_urgent(found, fatal)
     message = f"the log checks say of {log}: {first.message}"
     if first.invalidates_log:
-        says = f"no cause was looked for: {message}. Mend that first: {first.remedy}"
+        says = f"no cause was looked for: {message}. Correct that first: {first.remedy}"
         return dataclasses.replace(found, verdict=found.verdict._replace(verdict="unknown", says=says))
     if _unexplained(found, [(log, first)]):
-        message = f"{message}. No confidence is above {UNSURE} before that is mended: {first.remedy}"
+        message = f"{message}. No confidence is above {UNSURE} before that is corrected: {first.remedy}"
         return dataclasses.replace(found, verdict=found.verdict.doubted(message))
     message = f"the {first.resembles} may be the log's or the drive file's rather than the machine's: {message}"
     return dataclasses.replace(found, verdict=found.verdict.and_says(message))
@@ -259,7 +259,7 @@ def _unexplained(found: Diagnosis, fatal: Fatal) -> Fatal:
 
 
 def _most_urgent(found: Diagnosis, fatal: Fatal) -> tuple[str, Finding]:
-    """The one to be mended first: what voids the log, then what is nothing that was found."""
+    """The one to be corrected first: what voids the log, then what is nothing that was found."""
     voiding = [(log, finding) for log, finding in fatal if finding.invalidates_log]
     return (voiding or _unexplained(found, fatal) or fatal)[0]
 

@@ -38,7 +38,7 @@ def _ladder(found: Diagnosis) -> Figure:
     figure, axes = new_figure(1, 3 if simulated else 1, width=11.0 if simulated else 6.0, height=3.4, share_x=False)
     axes = np.atleast_1d(axes)
     axes[0].set_title("missing force, N RMS", fontsize="medium")
-    _points(axes[0], rms, np.nan if found.floor is None else found.floor, "not told", spread)
+    _points(axes[0], rms, np.nan if found.floor is None else found.floor, "not computed", spread)
     for axis, scale, signal, unit in zip(axes[1:], (1e6, 1.0), ("position", "command"), ("µm", "N"), strict=False):
         of_loops = [np.nan if one.says else scale * getattr(one, f"{signal}_rms") for one in loops]
         axis.set_title(f"{signal} in closed loop, {unit} RMS", fontsize="medium")
@@ -95,7 +95,7 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Figure:
     for axis in axes:
         axis.set_ylabel("missing force, N")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
-    figure.suptitle(f"Force that the model lacks, {logs[log].name}\n{BLANK}", x=0.01, ha="left")
+    figure.suptitle(f"Missing force, {logs[log].name}\n{BLANK}", x=0.01, ha="left")
     return figure
 
 

@@ -29,13 +29,14 @@ figure { margin: 1rem 0 } caption, figcaption { color: #555; font-size: .9rem }
 REGIONS = 10  # that are shown, each with
 LEAST = 0.03  # of the gap and more; the JSON has all
 NOT_WORTH = "No effect of the catalogue was worth a fit."
-NOT_SEARCHED = "No cause was looked for: before the log is mended, no number of this page means anything."
+NOT_SEARCHED = "No cause was looked for: correct the log first; until then no number of this page means anything."
 NOWHERE = f"nowhere in particular: no region with {100 * LEAST:.0f} % of it or more has more than chance would give it"
 
 SIZE = ("model", "missing force, N", "low", "high", "position, um", "command, N")
 LADDER = ("model", "missing force, N", "low", "high", "position, um", "command, N", "shrink, %", "low", "high")
 LOOP = (
-    "Missing force: what the model lacks while the table slides, RMS, low and high its 95 %; "
+    "Missing force: what the model needs beside its own forces to follow the log while the table slides, RMS, low and "
+    "high its 95 % interval; "
     "position and command: the log against the simulation in closed loop, RMS"
 )
 SHRINK = f"{LOOP}. Shrink: of the missing force's mean square, noise floor and all, against the nominal drive's"
@@ -48,7 +49,7 @@ FOUND_FIRST = (
     "A cos(2 pi x / period - phase), x the table position (or time) from its zero"
 )
 PICTURES = {
-    "missing_force": f"The force that the model lacks, on held-out data ({BLANK}).",
+    "missing_force": f"The missing force, on held-out data ({BLANK}).",
     "where": "Shares of the gap beside what chance would give.",
     "causes": "How sure each cause is.",
     "ladder": "The gap of each model on held-out data, against the noise floor; bars: 95 %.",
@@ -116,9 +117,10 @@ def _odd(ladder: Sequence[Details]) -> list[str]:
     notes = []
     if worse := _larger(ladder[0], ladder[1]):
         notes.append(
-            f"Recalibrated, the {' and the '.join(worse)} {'is' if len(worse) == 1 else 'are'} larger than nominal: "
-            "recalibration makes the logs that it is given most probable, each sample by its noise and close to the "
-            "drive file. It does not minimise these numbers, which may also be of other data."
+            f"Recalibrated, the {' and the '.join(worse)} {'is' if len(worse) == 1 else 'are'} larger than nominal. "
+            "Recalibration maximises the likelihood of the fitted data, with parameters held near the drive file. It "
+            "does not minimise this RMS on held-out data, so the RMS may rise where the missing effect is no nominal "
+            "parameter."
         )
     for one in ladder:
         if below := [name for name, (rms, floor) in MEASURES.items() if _is_below(one[rms], one[floor])]:
@@ -260,10 +262,9 @@ def _findings(findings: Sequence[dict[str, str]]) -> str:
     """What the log checks found, or nothing."""
     if not findings:
         return ""
-    columns = ("log", "severity", "channel", "found", "mend")
-    return _table(
-        columns, [[one[key] for key in columns] for one in findings], "Before all: the log checks", words=True
-    )
+    keys = ("log", "severity", "channel", "found", "mend")
+    rows: list[Row] = [[one[key] for key in keys] for one in findings]
+    return _table((*keys[:-1], "remedy"), rows, "Before all: the log checks", words=True)
 
 
 def _paid(paid: Details) -> str:

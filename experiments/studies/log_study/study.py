@@ -103,7 +103,7 @@ def score_faulty_logs(
 
 def report_faulty_logs(report: Report, answers: Sequence[ScoredLog]) -> None:
     """The tables by fault, by axis and by log, and the totals."""
-    head = ("what", "logs", "named first", "named", "rivals missing", "mended", "wrong mends")
+    head = ("what", "logs", "named first", "named", "rivals missing", "repaired", "wrong repairs")
 
     def by_fault(answer: ScoredLog) -> str:
         return answer.log.kind
@@ -119,7 +119,7 @@ def report_faulty_logs(report: Report, answers: Sequence[ScoredLog]) -> None:
         report.table(name, head, rows, caption)
     report.table(
         "cases",
-        ("case", "axis", "motion", "fault", "amount", "first finding", "severity", "named first", "named", "mend"),
+        ("case", "axis", "motion", "fault", "amount", "first finding", "severity", "named first", "named", "repair"),
         [_log_row(answer) for answer in answers],
         "Each log",
     )
@@ -128,7 +128,7 @@ def report_faulty_logs(report: Report, answers: Sequence[ScoredLog]) -> None:
         rows = [
             [answer.log.number, answer.log.kind, answer.log.fault.amount, answer.score.wrong_repair] for answer in wrong
         ]
-        report.table("wrong_mends", ("case", "fault", "amount", "wrong in"), rows, "Wrong mends")
+        report.table("wrong_mends", ("case", "fault", "amount", "wrong in"), rows, "Wrong repairs")
     total, scores = len(answers), [answer.score for answer in answers]
     first, named = sum(answer.first for answer in scores), sum(answer.named for answer in scores)
     report.values(

@@ -25,7 +25,7 @@ def test_a_fatal_finding_is_mended_before_any_motion(constant_force_diagnosis, c
     monkeypatch.setattr(command, "read_diagnosis_logs", lambda *_: CheckedLogs((), tuple(fatal)))
     monkeypatch.setattr(command, "save_diagnosis_figures", lambda *_: None)
     told, _ = command_for(constant_force_diagnosis)
-    assert told["next_experiment"]["says"] == "before any motion, mend lap: give the unit"
+    assert told["next_experiment"]["says"] == "before any motion, correct lap: give the unit"
 
 
 def test_of_a_reversed_command_no_cause_is_looked_for_and_no_drive_file_written(tmp_path):
@@ -110,4 +110,4 @@ def test_an_effect_that_a_fatal_finding_resembles_is_told_to_be_the_logs_perhaps
     assert doubted.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
     assert downgrade(constant_force_diagnosis, fatal).verdict.verdict == "unknown"
     assert downgrade(constant_force_diagnosis, []) is constant_force_diagnosis
-    assert "mend lap: shift it" in next_motion_of(DRIVE, CheckedLogs((), tuple(fatal)), found).says
+    assert "correct lap: shift it" in next_motion_of(DRIVE, CheckedLogs((), tuple(fatal)), found).says
