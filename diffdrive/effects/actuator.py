@@ -16,7 +16,7 @@ class ForceGain(ActuatorEffect):
 
     name: ClassVar[str] = "force_gain"
     stage: ClassVar[Stage] = Stage.SCALED
-    gain: Scalar = quantity("1", "force over the force believed, minus one", above=-1.0, default=0.0)
+    gain: Scalar = quantity("1", "force over the nominal force, minus one", above=-1.0, default=0.0)
 
     def init(self, force: Scalar) -> PyTree:
         """No state."""

@@ -273,7 +273,7 @@ class Backlash(Transmission):
     """A dead zone between motor and table, behind an elastic screw."""
 
     name: ClassVar[str] = "backlash"
-    gap: Scalar = quantity("m", "full width of the dead zone", at_least=0.0, default=0.0)
+    gap: Scalar = quantity("m", "backlash width: full width of the dead zone", at_least=0.0, default=0.0)
     frequency: Scalar = quantity("Hz", "free resonance of motor against table in contact", above=0.0, default=1e5)
     damping: Scalar = quantity("1", "damping ratio in contact", at_least=0.0, default=0.08)
     motor_share: Scalar = quantity("1", "of the moving mass", above=0.0, below=1.0, default=0.4)

@@ -120,7 +120,7 @@ class Plant(eqx.Module):
 
     mass: Scalar = quantity("kg", "moving mass, motor and screw inertia included", above=0.0)
     damping: Directional = quantity("N*s/m", "viscous damping of the system", at_least=0.0, per_direction=True)
-    constant_force: Scalar = quantity("N", "tilt, counterbalance or amplifier offset", default=0.0)
+    constant_force: Scalar = quantity("N", "inclined axis, counterbalance or amplifier offset", default=0.0)
 
 
 class Friction(eqx.Module):

@@ -67,15 +67,19 @@ def simulate(
 def tune(
     drive: DriveFile,
     out: Out = None,
-    speed: Annotated[str, typer.Option(help="Speed of the reversal that it is tuned on.")] = "10 mm/s",
+    speed: Annotated[str, typer.Option(help="Speed of the reversal used for tuning.")] = "10 mm/s",
     max_load: Annotated[str, typer.Option(help="Highest load; the lowest is none.")] = "12.6 kN",
-    loads: Annotated[int, typer.Option(min=2, max=64, help="How many loads, evenly spaced.")] = 4,
-    machines: Annotated[int, typer.Option(min=1, max=32, help="How many machines; the first is the file's own.")] = 2,
+    loads: Annotated[int, typer.Option(min=2, max=64, help="Number of loads, evenly spaced.")] = 4,
+    machines: Annotated[int, typer.Option(min=1, max=32, help="Number of machines; the first is the file's own.")] = 2,
     spread: Annotated[
         float, typer.Option(callback=finite, min=0.0, max=0.5, help="Uncertainty of the machine's parameters.")
     ] = 0.03,
-    gain_margin: Annotated[float, typer.Option(callback=finite, min=0.0, help="dB, up and down.")] = 6.0,
-    phase_margin: Annotated[float, typer.Option(callback=finite, min=0.0, max=90.0, help="Degrees.")] = 30.0,
+    gain_margin: Annotated[
+        float, typer.Option(callback=finite, min=0.0, help="Smallest gain margin in dB, up and down.")
+    ] = 6.0,
+    phase_margin: Annotated[
+        float, typer.Option(callback=finite, min=0.0, max=90.0, help="Smallest phase margin in degrees.")
+    ] = 30.0,
     sensitivity: Annotated[
         float | None,
         typer.Option(callback=finite, min=1.0, help="Largest peak of the sensitivity, Ms; none by default."),
@@ -90,18 +94,18 @@ def tune(
         float, typer.Option(callback=finite, min=0.0, help="Weight of the peak error beside the RMS error.")
     ] = 0.0,
     aggregation: Annotated[str, typer.Option(help="Over the scenarios: mean, worst or cvar.")] = "mean",
-    friction: Annotated[
-        bool, typer.Option("--friction", help="Tune the observer's friction parameters along.")
-    ] = False,
+    friction: Annotated[bool, typer.Option("--friction", help="Also tune the observer's friction parameters.")] = False,
     starts: Annotated[
-        int, typer.Option(callback=count_of, min=1, help="How many starts; the first is the file's gains.")
+        int, typer.Option(callback=count_of, min=1, help="Number of starts; the first is the file's gains.")
     ] = 4,
     seed: Seed = 0,
-    steps: Annotated[int, typer.Option(callback=count_of, min=1, help="Most search steps from each start.")] = 40,
+    steps: Annotated[
+        int, typer.Option(callback=count_of, min=1, help="Largest number of search steps per start.")
+    ] = 40,
     pareto: Annotated[str, typer.Option(help="Limits of the command noise for a Pareto front: `5;10;20;40 N`.")] = "",
     svg: Svg = False,
 ) -> None:
-    """Tune the controller's gains by gradient over loads and machines, within margins, and verify them held out.
+    """Tune the controller's gains by gradient within margins; verify them on scenarios that were not used for tuning.
 
     The gains minimise the tracking error within stability margins (of the linearised loop, delay and observer included,
     from standstill to twice the speed, both directions, no load and the highest), command noise, force limit and load

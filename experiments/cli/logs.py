@@ -33,7 +33,7 @@ def check(
     shift: Shifts = None,
     load: Loads = None,
 ) -> None:
-    """Look over logs before anything is made of them: how they read, what was repaired, what they would mislead about.
+    """Check logs before use: channels, units, repairs, and faults that would bias a fit.
 
     Each finding (volts for newtons, a shifted command, a filtered position, lost rows) comes with its numbers and what
     to do. Ends with code 3 where one is fatal.
@@ -56,7 +56,7 @@ def identify(
     shift: Shifts = None,
     fix: Annotated[
         list[str] | None,
-        typer.Option(help="A parameter, as the drive file calls it, that stays as believed; repeatable."),
+        typer.Option(help="A parameter, as the drive file calls it, that stays at its value there; repeatable."),
     ] = None,
     bound: Annotated[
         list[str] | None, typer.Option(help="NAME=LOW:HIGH, in SI or with units: `mass=80:120`; repeatable.")
@@ -64,22 +64,20 @@ def identify(
     load: Loads = None,
     starts: Annotated[
         int,
-        typer.Option(callback=count_of, min=1, help="How many starts; the first is the inverse dynamics' answer."),
+        typer.Option(callback=count_of, min=1, help="Number of starts; the first is the inverse dynamics' answer."),
     ] = 6,
     seed: Seed = 0,
-    held_out: Annotated[
-        list[Path] | None, typer.Option(help="A log that is only looked at afterwards; repeatable.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Go on over fatal findings in a log.")] = False,
+    held_out: Annotated[list[Path] | None, typer.Option(help="A log for validation, not fitted; repeatable.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Identify in spite of fatal findings.")] = False,
     svg: Svg = False,
 ) -> None:
     """Identify friction, mass and delay of a drive from its logs, with intervals, and say whether the model suffices.
 
-    The logs are looked over first, and one with a fatal finding (volts for newtons, a shifted command) is refused.
-    Writes identified.toml, a drive file with the drive that was found, the table of estimates and figures. A parameter
-    that the logs do not determine is named and stays as believed. Structure that the model leaves is said, and is no
-    failure; a search that does not converge, or is interrupted by Ctrl-C, ends with code 3 and the best so far. Stopped
-    or killed, the same command with the same --out continues where it was.
+    The logs are checked first, and one with a fatal finding (volts for newtons, a shifted command) is refused. Writes
+    identified.toml, a drive file with the drive that was found, the table of estimates and figures. A parameter that
+    the logs do not determine is named and stays at the drive file's value. An incomplete model is reported, and is not
+    an error; a search that does not converge, or is interrupted by Ctrl-C, ends with code 3 and the best so far.
+    Stopped or killed, the same command with the same --out continues where it was.
 
     Example: `diffdrive identify lap1.csv lap2.csv --drive drive.toml --unit command=V --held-out lap3.csv --out found`
     """
@@ -104,20 +102,24 @@ def diagnose(
     shift: Shifts = None,
     load: Loads = None,
     without: Annotated[
-        list[str] | None, typer.Option(help="An effect of the catalogue that is not to be considered; repeatable.")
+        list[str] | None, typer.Option(help="An effect of the catalogue to leave out; repeatable.")
     ] = None,
-    most_effects: Annotated[int, typer.Option(min=1, max=4, help="How many effects at once, at most.")] = 2,
+    most_effects: Annotated[int, typer.Option(min=1, max=4, help="Largest number of effects at once.")] = 2,
     tolerance: Annotated[
         float,
         typer.Option(
             callback=finite,
             min=1e-4,
             max=1.0,
-            help="How well the drive file is known: 0.02 is right to 2 %, give or take (a standard deviation).",
+            help="How well the drive file is known: 0.02 is right to 2 % (one standard deviation of each parameter).",
         ),
     ] = 0.02,
     tune: Annotated[
-        bool, typer.Option("--tune", help="Tune the controller on both drives, and show what closing the gap pays.")
+        bool,
+        typer.Option(
+            "--tune",
+            help="Tune the controller on the nominal drive and on the one with what was found, and compare the gains.",
+        ),
     ] = False,
     svg: Svg = False,
 ) -> None:

@@ -73,7 +73,7 @@ Logs = Annotated[
     typer.Argument(help="Logs of one machine: CSV, MAT or Parquet.", metavar="LOG...", show_default=False),
 ]
 DriveOption = Annotated[
-    Path, typer.Option("--drive", help="Drive file: what is believed about the axis, and how its logs read.")
+    Path, typer.Option("--drive", help="Drive file: the nominal axis, and columns and units of its logs.")
 ]
 Columns = Annotated[
     list[str] | None, typer.Option("--column", help="CHANNEL=COLUMN, over the drive file's \\[columns]; repeatable.")
@@ -98,12 +98,12 @@ Loads = Annotated[
 ]
 Machine = Annotated[
     Path | None,
-    typer.Option("--machine", help="Drive file of the machine, where it is not what the controller believes."),
+    typer.Option("--machine", help="Drive file of the machine, where it differs from the controller's nominal model."),
 ]
 Settle = Annotated[
     float, typer.Option("--settle", callback=finite, min=0.0, help="Seconds at the start that do not count.")
 ]
-Seed = Annotated[int, typer.Option("--seed", callback=seed_of, help="Seed of whatever is drawn at random.")]
+Seed = Annotated[int, typer.Option("--seed", callback=seed_of, help="Seed of the random numbers.")]
 MotionText = Annotated[
     str,
     typer.Option(

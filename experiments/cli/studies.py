@@ -52,10 +52,10 @@ def withheld(
         typer.Option(callback=count_of, min=1, help="Machines that are diagnosed at once; each takes 2 to 4 GB."),
     ] = 1,
     twice: Annotated[
-        bool, typer.Option("--twice", help="Ask again with nothing but the true effects, and without them.")
+        bool, typer.Option("--twice", help="Diagnose again with the true effects alone, and without them.")
     ] = False,
 ) -> None:
-    """Check the diagnosis on machines with an effect that it is not told.
+    """Check the diagnosis on machines with an effect that is hidden from it.
 
     The machines are integrated by numerics of their own, their parameters are up to 3 % off nominal, and the effects
     are drawn at random: none, one of the catalogue, two, one from outside it, or a resonance that other parameters
@@ -217,7 +217,7 @@ def recovery(
 def log_study(
     out: Out = None,
     cases: Annotated[int, typer.Option(min=1, callback=count_of, help="How many logs with a fault.")] = 60,
-    sound: Annotated[int, typer.Option(min=0, callback=count_of, help="How many sound logs.")] = 40,
+    sound: Annotated[int, typer.Option(min=0, callback=count_of, help="How many fault-free logs.")] = 40,
     pairs: Annotated[
         int,
         typer.Option(min=0, callback=count_of, help="How many pairs of logs, two thirds of them of two machines."),
@@ -226,8 +226,8 @@ def log_study(
 ) -> None:
     """The log checks on logs whose fault is known (docs/evidence/log-study.md): is it named, is a remedy right?
 
-    Simulates axes of ten kinds, does something to their logs, and asks the checks; then the same with sound logs, and
-    with pairs of logs of one machine or of two. Takes two minutes of one core.
+    Simulates axes of ten kinds, does something to their logs, and asks the checks; then the same with fault-free logs,
+    and with pairs of logs of one machine or of two. Takes two minutes of one core.
     """
     from diffdrive.logs.checks.examine import examine, examine_together
     from experiments.reports.report import Report

@@ -28,7 +28,9 @@ def sweep(
     ] = None,
     identified: Annotated[
         Path | None,
-        typer.Option(help="uncertainty.toml of `diffdrive identify`: what its logs left open varies that far."),
+        typer.Option(
+            help="uncertainty.toml of `diffdrive identify`: what it identified varies within its uncertainty."
+        ),
     ] = None,
     motion: Annotated[
         list[str] | None,
@@ -41,7 +43,7 @@ def sweep(
         typer.Option(help="Drive file whose controller gets the same machines, loads and noise; repeatable."),
     ] = None,
     samples: Annotated[
-        int, typer.Option(callback=count_of, min=1, help="How many machines; powers of two for sobol.")
+        int, typer.Option(callback=count_of, min=1, help="Number of machines; powers of two for sobol.")
     ] = 1024,
     method: Annotated[str, typer.Option(help="sobol, latin-hypercube or random.")] = "sobol",
     tolerance: Annotated[str | None, typer.Option(help="Error that must not be exceeded: `2um`.")] = None,

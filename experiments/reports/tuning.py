@@ -82,7 +82,10 @@ def report_tuning(report: Report, result: TuningResult) -> None:
 def verdict(tuned: GainSearch, runs: Sequence[ScenarioComparison]) -> str:
     """Whether the gains are accepted, why not, and what they do in scenarios that they were not tuned on."""
     was, now = (1e6 * float(np.mean([one.rms for one in judged])) for judged in _held_out(runs))
-    held_out = f"mean RMS error held out {was:.3g} um as given, {now:.3g} um tuned ({100.0 * (now / was - 1.0):+.0f} %)"
+    held_out = (
+        f"mean RMS error on scenarios not used for tuning {was:.3g} um as given, {now:.3g} um tuned "
+        f"({100.0 * (now / was - 1.0):+.0f} %)"
+    )
     if is_accepted(tuned, runs):
         return f"Accepted: {held_out}; every requirement is kept."
     failed = [one.scenario.name for one in runs if not one.after.run.status.ok]

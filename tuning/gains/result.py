@@ -22,7 +22,7 @@ from tuning.gains.verification import (
 )
 
 BELIEVED = (
-    "The tuned axis has the friction that the controller is to believe, not the machine's: simulate it with the axis "
+    "The tuned axis has the friction of the controller's nominal model, not the machine's: simulate it with the axis "
     "that was given as the machine."
 )
 

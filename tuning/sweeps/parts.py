@@ -47,7 +47,7 @@ def missing_parts(plan: SweepPlan, folder: Path) -> list[int]:
         if stored_identity != identity or path not in wanted:
             raise ParameterError(
                 f"{path}: is of another sweep, one that differs in drive, controllers, motions, what varies, number of "
-                "machines or seed, in the edition of diffdrive, jax, numpy or scipy, in processor, GPU or XLA_FLAGS: "
+                "machines or seed, in the version of diffdrive, jax, numpy or scipy, in processor, GPU or XLA_FLAGS: "
                 "give another folder, or remove this one"
             )
         del wanted[path]

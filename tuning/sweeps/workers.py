@@ -36,7 +36,7 @@ def run_part(text: str, question: str, devices: int | None, part: int) -> pa.Tab
     plan = _plan(text, devices)
     if plan.identity() != question:
         raise ParameterError(
-            "a worker has another edition of diffdrive, jax, numpy or scipy, another processor or other XLA_FLAGS than "
+            "a worker has another version of diffdrive, jax, numpy or scipy, another processor or other XLA_FLAGS than "
             "the program that asks: the same ones are needed on every machine of the cluster"
         )
     return plan.costs(part)

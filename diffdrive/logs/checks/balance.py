@@ -241,7 +241,7 @@ def _constant_force(dynamics: DynamicsFit, axis: Axis) -> Finding:
         "warning" if dynamics.beyond_tolerance else "note",
         "command",
         f"mass and mean friction are the drive file's, but beside them the command carries a constant {newtons:.4g} N",
-        "an offset of the amplifier or of the logger, or a tilt or weight that plant.constant_force does not state; "
+        "an offset of the amplifier or of the logger, or a weight that plant.constant_force does not state; "
         "friction that differs between the directions would look alike; a log of the axis turned round decides",
         "offset",
         ("other machine",),

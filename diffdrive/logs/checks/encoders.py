@@ -42,7 +42,8 @@ def lost_motion(log: Log, axis: Axis | None) -> Iterator[Finding]:
         "motor_position",
         f"motor and table are {1e6 * difference:.3g} um apart between the two directions, {1e6 * play:.3g} um of it "
         f"whatever the force (scatter {1e6 * residual_std:.2g} um): lost motion",
-        "a play of screw, nut or coupling, or wind-up under friction: state it in the drive file as [effects.backlash] "
-        "or [effects.compliance], or let a diagnosis find it; identify with the encoder that the controller uses",
+        "backlash of screw, nut or coupling, or wind-up under friction: state it in the drive file as "
+        "[effects.backlash] or [effects.compliance], or let a diagnosis find it; identify with the encoder that the "
+        "controller uses",
         "lost motion",
     )

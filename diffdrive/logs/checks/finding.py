@@ -33,7 +33,7 @@ CAUSES = {
     "other controller": "another controller than the drive file's made the command",
     "other machine": "mass or friction are not those of the drive file",
     "machines differ": "logs of one machine contradict one another",
-    "lost motion": "two encoders differ by a play that depends on the direction",
+    "lost motion": "two encoders differ by a backlash that depends on the direction",
     "unreadable": "nothing can be made of the samples",
     "motion": "the motion limits what can be learnt",
     "range": "a value that the axis cannot have",

@@ -91,7 +91,7 @@ def _legend(report: Report, origins: Mapping[str, str]) -> None:
     """Which motion is meant by each name."""
     report.data["motions"] = dict(origins)
     if len(origins) > 1:
-        report.table("motions", ("motion", "as asked for"), [list(one) for one in origins.items()], "Motions")
+        report.table("motions", ("motion", "as given"), [list(one) for one in origins.items()], "Motions")
 
 
 def _announcing(spec: SweepSpec, engine: Engine, report: Report) -> Engine:
@@ -197,7 +197,7 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             report.say(f"{_why_different(plan)}: RMS error {1e6 * rms:.4g} um, peak error {1e6 * peak:.4g} um.")
         stored = stored_errors(plan, folder / PARTS, number, controller, motion)
         if stored is None:
-            report.say("Not compared with the sweep's own numbers: they are not there, or of another edition.")
+            report.say("Not compared with the sweep's own numbers: they are not there, or of another version.")
         else:
             repeated = [float(repeated_rms), float(repeated_peak), float(diverged_at[0])]
             alike = bool(np.array_equal(stored, repeated, equal_nan=True))
@@ -205,7 +205,7 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             report.print(
                 "The errors are those of the sweep, to the last bit."
                 if alike
-                else "The errors are NOT those of the sweep: another processor, or another edition of what it uses?"
+                else "The errors are NOT those of the sweep: another processor, or another version of what it uses?"
             )
         if report.out is not None:
             write_run(report.out / "run.csv", simulated)

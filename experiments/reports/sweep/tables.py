@@ -40,7 +40,7 @@ def print_varied(report: Report, plan: SweepPlan) -> None:
     ]
     if rows:
         report.table(
-            "varied", ("quantity", "unit", "as asked for", "least", "median", "most"), rows,
+            "varied", ("quantity", "unit", "as given", "least", "median", "most"), rows,
             f"What varies, in SI units: of the first {len(numbers)} machines"
             + (f", on {motion}" if len(plan.motions) > 1 else ""),
         )  # fmt: skip

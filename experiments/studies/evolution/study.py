@@ -148,7 +148,7 @@ def _compare_routes(report: Report, case: EvolutionCase, by_gradient: Drive) -> 
         hysteresis_rms_N=staged.hysteresis_rms,
         simulations_of_the_hysteresis=staged.evolution.simulations,
     )
-    drives = {"believed": emps.reference_drive(), "two stages": staged.drive, "gradient": by_gradient}
+    drives = {"starting drive": emps.reference_drive(), "two stages": staged.drive, "gradient": by_gradient}
     if case.truth is not None:
         drives["truth"] = case.truth
     named = [dict(_parameters(drive)) for drive in drives.values()]

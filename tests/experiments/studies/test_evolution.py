@@ -127,7 +127,7 @@ def test_the_study_writes_what_it_compares(tmp_path):
     assert [row[1] for row in rows] == ["1 of 1"] * 3
     assert written["figures"] == ["evolution.png"]
     assert set(written["history"]) == {"gradient", "evolution"}
-    assert written["tables"]["routes"]["columns"] == ["SI units", "believed", "two stages", "gradient", "truth"]
+    assert written["tables"]["routes"]["columns"] == ["SI units", "starting drive", "two stages", "gradient", "truth"]
     gaps = written["tables"]["routes"]["rows"][-1]
     assert gaps[3] < gaps[2] < gaps[1]
 
