@@ -108,6 +108,11 @@ def _words(text: str) -> str:
     return readable(printable(" ".join(WORDS.get(word, word) for word in text.split(" "))))
 
 
+def unit_of(unit: str) -> str:
+    """A unit as a cell of a table."""
+    return "-" if unit == "1" else unit.replace("*", " ")
+
+
 def titled(text: str) -> str:
     """With a capital at its beginning, unless its first word is a name or a symbol."""
     return text[:1].upper() + text[1:] if re.match(r"[a-z]+\b(?!\.)", text) else text

@@ -70,7 +70,7 @@ def candidates(drive: Drive, limits: Limits, rate: float, about: float = 0.0) ->
         amplitude = _rounded(wanted)
         start = start_for(2.0 * amplitude)
         name = (
-            f"sine:amplitude={1e6 * amplitude:.3g}um,frequency={frequency:g}Hz,duration={DURATION:g}s,"
+            f"sine:amplitude={_length(amplitude)},frequency={frequency:g}Hz,duration={DURATION:g}s,"
             f"start={1e3 * start:.6g}mm"
         )
         with contextlib.suppress(MotionError):
@@ -101,6 +101,10 @@ def available_limits(lanes: Lanes, limits: Limits) -> tuple[Limits, float]:
     low, high = float(position.min()), float(position.max())
     ends = np.where(np.isfinite(limits.stroke), limits.stroke, (low - CLEARANCE, high + CLEARANCE))
     return dataclasses.replace(limits, stroke=(float(ends[0]), float(ends[1]))), 0.5 * (low + high)
+
+
+def _length(value: float) -> str:
+    return f"{1e3 * value:.3g}mm" if value >= 1e-3 else f"{1e6 * value:.3g}um"
 
 
 def _rounded(value: float) -> float:

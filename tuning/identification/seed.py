@@ -79,8 +79,8 @@ def _side(drive: Drive, result: InverseDynamics, side: str, notes: list[str]) ->
         damping = float(getattr(drive.plant.damping, side))
         if total - damping < VISCOUS_FLOOR * total:
             notes.append(
-                f"friction.viscous ({side}) is set to {VISCOUS_FLOOR * total:.3g} N*s/m: plant.damping, {damping:g}, "
-                f"leaves nothing of the {total:.4g} N*s/m identified"
+                f"friction.viscous ({side}) is set to {VISCOUS_FLOOR * total:.3g} N s/m: plant.damping, {damping:g}, "
+                f"leaves nothing of the {total:.4g} N s/m identified"
             )
         seeded["viscous"] = max(total - damping, VISCOUS_FLOOR * total)
     return seeded

@@ -107,9 +107,8 @@ class IdentificationResult(Result):
         rows = [f"{'parameter':<28}{'unit':<8}{'before':>12}{'identified':>12}  95 % interval"]
         for estimate in self.estimates:
             interval = f"{estimate.low:.4g} to {estimate.high:.4g}" if estimate.status == "fitted" else estimate.status
-            rows.append(
-                f"{estimate.name:<28}{estimate.unit:<8}{estimate.believed:>12.4g}{estimate.value:>12.4g}  {interval}"
-            )
+            named = f"{estimate.name:<28}{_unit(estimate.unit):<8}"
+            rows.append(f"{named}{estimate.believed:>12.4g}{estimate.value:>12.4g}  {interval}")
         return "\n".join([self.headline(), *rows, *(f"- {note}" for note in self.notes)])
 
     def as_dict(self) -> dict[str, object]:
@@ -200,6 +199,10 @@ def _result(axis: Axis, found: Identification, used: CheckedLogs, held_out: Chec
         replace(axis.with_drive(found.drive), name="identified"), tuple(found.estimates), found, used, held_out,
         tuple(notes), axis, Status(ok, found.status, code=code),
     )  # fmt: skip
+
+
+def _unit(unit: str) -> str:
+    return "-" if unit == "1" else unit.replace("*", " ")
 
 
 def _parameter_name(path: str) -> str:

@@ -12,7 +12,7 @@ from diffdrive.support.atomic_write import write_text
 from diffdrive.support.spans import format_span
 from experiments.reports.diagnosis import payoff
 from experiments.reports.diagnosis.figures import BLANK
-from experiments.reports.readable import heading, readable, shown
+from experiments.reports.readable import heading, readable, shown, unit_of
 from experiments.reports.report import Report
 from tuning.diagnosis.cause_words import headlines, numbers
 from tuning.diagnosis.where import SIGNIFICANT
@@ -252,7 +252,7 @@ def _cause(one: Details) -> Row:
 
 
 def _recalibrated(one: Details) -> Row:
-    row = [one["parameter"], "" if one["unit"] == "1" else one["unit"], one["drive_file"]]
+    row = [one["parameter"], unit_of(one["unit"]), one["drive_file"]]
     for key in ("recalibrated", "with_effects"):
         row += format_span((one[key], *one[f"{key}_interval"])) if key in one else ("-", "-", "-")
     return row

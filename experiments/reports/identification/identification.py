@@ -184,7 +184,7 @@ def _estimate(one: ParameterEstimate) -> list[object]:
     value, between = readable.shown(one.value), one.status
     if one.status == "fitted":
         value, between = readable.interval(one.value, one.low, one.high)
-    return [one.name, one.unit.replace("*", " "), one.believed, value, between]
+    return [one.name, readable.unit_of(one.unit), one.believed, value, between]
 
 
 def _hardly_determined(found: Identification) -> list[str]:

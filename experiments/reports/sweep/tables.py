@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.reports.readable import significant
+from experiments.reports.readable import significant, unit_of
 from experiments.reports.report import Report
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.sensitivity import MIN_MACHINES, Influence, influences_on_event
@@ -35,7 +35,7 @@ def print_varied(report: Report, plan: SweepPlan) -> None:
     numbers, motion = plan.numbers(0), next(iter(plan.motions))
     values = plan.values(numbers, motion)
     rows = [
-        [one.name, one.unit, one.text.partition("=")[2], *np.quantile(values[one.name], (0.0, 0.5, 1.0))]
+        [one.name, unit_of(one.unit), one.text.partition("=")[2], *np.quantile(values[one.name], (0.0, 0.5, 1.0))]
         for one in plan.varied
     ]
     if rows:
