@@ -17,7 +17,6 @@ Parameters = TypeVar("Parameters", bound=eqx.Module)
 
 
 @runtime_checkable
-@runtime_checkable
 class Section(Protocol):
     """One table of a drive file, from which a kind takes keys; a key that is left over is an error."""
 
