@@ -3,6 +3,7 @@
 from diffdrive.axis import Axis
 from diffdrive.controllers import (
     DOBVSC,
+    KINDS,
     PD,
     Cascade,
     Controller,
@@ -41,6 +42,12 @@ def paper_controllers(drive: Drive, kp: Scalar = PAPER_KP, kd: Scalar = PAPER_KD
     }
 
 
+def example_controllers(drive: Drive) -> dict[str, Controller]:
+    """A controller of every kind that has gains for the paper's testbed, by its kind."""
+    others = {name: kind.example(drive) for name, kind in KINDS.items() if kind.example is not None}
+    return paper_controllers(drive) | others
+
+
 def paper_axis(controller: str = "pd", *, quantised: bool = True) -> Axis:
     """The paper's testbed: 100 kg on linear guides, 0.1 um scale, 150 mm of stroke, 10 kHz.
 
@@ -48,7 +55,7 @@ def paper_axis(controller: str = "pd", *, quantised: bool = True) -> Axis:
 
     Args:
         controller: Its kind: `pd`, `dobvsc`, `pd+ff+dob`, `pd+fc`, `pd+fc+le` (the paper's), `pd+fc+ls` (whose load
-            estimator converges at every speed), or `cascade`.
+            estimator converges at every speed), `cascade`, or another that says which gains suit this machine.
         quantised: Whether the scale has steps (0.1 um).
 
     Raises:
@@ -60,7 +67,7 @@ def paper_axis(controller: str = "pd", *, quantised: bool = True) -> Axis:
 
     """
     drive = paper_drive(quantised=quantised)
-    controllers = paper_controllers(drive)
+    controllers = example_controllers(drive)
     if controller not in controllers:
         raise ParameterError(f"controller: no kind {controller!r}; known: {', '.join(controllers)}")
     return Axis(

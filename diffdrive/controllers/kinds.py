@@ -68,13 +68,17 @@ class Keys(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """A kind of controller in a drive file: its name, the keys of its table, and the function that builds it."""
+    """A kind of controller in a drive file: its name, the keys of its table, and the function that builds it.
+
+    `example` makes one with gains that suit the paper's testbed: `paper_axis` and `diffdrive template` start from it.
+    """
 
     name: str
     meaning: str
     build: Callable[[Section, Drive], Controller]
     keys: tuple[Keys, ...] = ()
     options: tuple[Option, ...] = ()
+    example: Callable[[Drive], Controller] | None = None
 
     def has(self, table: str, key: str) -> bool:
         """Whether its `table` may hold `key`."""

@@ -11,12 +11,12 @@ import diffdrive as dd
 from diffdrive.effects.catalogue import EFFECTS, EFFECTS_BY_PART
 from diffdrive.errors import DivergenceError, LogError, ParameterError
 from diffdrive.model.parameters import quantity
-from diffdrive.paper import paper_controllers
+from diffdrive.paper import example_controllers
 
 AXIS = dd.paper_axis()
 LAP = dd.motion.triangular(speed=0.010, stroke=0.001, rounding=0.05, duration=0.2, rate=AXIS.rate)
 SMOOTH = AXIS.smooth()
-KINDS = list(paper_controllers(AXIS.drive))
+KINDS = list(example_controllers(AXIS.drive))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -68,7 +68,7 @@ CONTROLLERS = {
     ),
     "cascade": Cascade(kp=50.0, kv=1e5, ki=1e6, velocity_feedforward=0.9, velocity_samples=3),
     "cascade with feed-forward": Cascade(kp=50.0, kv=1e5, feedforward=Feedforward.of(PLANT)),
-}
+} | {name: kind.example(DRIVE) for name, kind in KINDS.items() if kind.example is not None}
 
 
 def description(controller=CONTROLLERS["pd"], **changes) -> Axis:

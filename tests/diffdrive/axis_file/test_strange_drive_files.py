@@ -15,6 +15,7 @@ from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, DriveFileError, LoadEstimatorWarning
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import quantities
+from diffdrive.model.presets import paper_drive
 
 STRANGE = [0.0, -1.0, 1e-300, 1e-12, 1e12, 1e300, -1e300, 10**30]
 NO_NUMBERS = [math.nan, math.inf, -math.inf, 10**400, True, [], {}, [[]] * 500, "1e999 N", "x" * 5000, "\x1b[31m"]
@@ -46,7 +47,7 @@ CONTROLLERS = {
     "pd+fc+le": GAINS,
     "pd+fc+ls": GAINS,
     "cascade": {"kp": 50.0, "kv": 16_000.0},
-}
+} | {name: kind.example(paper_drive()).table() for name, kind in KINDS.items() if kind.example is not None}
 STATIC = {
     ("actuator", "delay_samples"),
     ("controller", "velocity_samples"),
