@@ -39,7 +39,6 @@ def _option_rows() -> Iterator[tuple[str, ...]]:
 
 # what the parameter classes do not declare: choices, whole numbers, and what is about the axis and not in its equations
 _OTHER_ROWS = (
-    ("controller", "", "kind", "", ", ".join(KINDS), "required", "unknown is for identification and diagnosis"),
     ("actuator", "", "delay_samples", "-", ">= 0, whole", "0", "whole control periods between command and force"),
     ("sampling", "", "rate", "Hz", "10 to 1e6", "10000", "control rate"),
     ("sampling", "", "substeps", "-", ">= 1, whole", "of 20 us each at most", "plant steps a control period"),
@@ -94,8 +93,9 @@ def _parameter_rows(
 
 def reference() -> Iterator[tuple[str, ...]]:
     """Rows of `COLUMNS`, one per key."""
-    first, *others = _OTHER_ROWS
-    yield from ((f"[{table}]", *row) for table, *row in (first, *_option_rows(), *others))
+    kinds = ", ".join(KINDS)
+    first = ("controller", "", "kind", "", kinds, "required", "unknown is for identification and diagnosis")
+    yield from ((f"[{table}]", *row) for table, *row in (first, *_option_rows(), *_OTHER_ROWS))
     for table, cls in _PARTS:
         yield from _parameter_rows(table, "", cls)
     for table, kinds, keys in _controller_keys():

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import diffdrive
 
+CATALOGUES = ("diffdrive.effects.catalogue", "diffdrive.controllers.catalogue")
+
 
 def text(make: Callable[[], str], out: Path | None, name: str) -> None:
     """Print a text; with a folder, write it there as `name` instead, beside a result.json that says so."""
@@ -26,8 +28,11 @@ def cached(make: Callable[[], str], name: str) -> str:
     """The text that `make` makes of the package's sources, or a copy of it that an earlier call kept.
 
     A copy is of exactly these sources, by their names, sizes and times. It is in the user's cache folder; where that
-    cannot be written to, the text is made each time.
+    cannot be written to, the text is made each time. So it is in a program that has the catalogues at hand already: it
+    may have registered more.
     """
+    if any(name in sys.modules for name in CATALOGUES):
+        return make()
     import platformdirs
 
     from diffdrive.support.atomic_write import write_text

@@ -111,6 +111,8 @@ def test_texts_that_are_kept_follow_their_sources(tmp_path, monkeypatch):
     package.mkdir()
     (package / "__init__.py").write_text("")
     monkeypatch.setattr(texts.diffdrive, "__file__", str(package / "__init__.py"))
+    catalogues = texts.CATALOGUES
+    monkeypatch.setattr(texts, "CATALOGUES", ())
 
     def make():
         made.append(1)
@@ -119,6 +121,8 @@ def test_texts_that_are_kept_follow_their_sources(tmp_path, monkeypatch):
     assert [texts.cached(make, "a.md") for _ in range(2)] == ["made 1 times"] * 2
     (package / "effects.py").write_text("one more")
     assert texts.cached(make, "a.md") == "made 2 times"
+    monkeypatch.setattr(texts, "CATALOGUES", catalogues)  # which are loaded here: a program may have registered more
+    assert [texts.cached(make, "a.md") for _ in range(2)] == ["made 3 times", "made 4 times"]
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["tune", "--help"], ["template"]])
