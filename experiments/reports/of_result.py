@@ -13,7 +13,7 @@ from experiments.reports.diagnosis.files import write_augmented, write_reference
 from experiments.reports.diagnosis.page import print_answers, write_page
 from experiments.reports.identification.identification import report_identification
 from experiments.reports.report import Report
-from experiments.reports.simulation import run_figure, write_run
+from experiments.reports.simulation import write_simulation
 from experiments.reports.sweep.sweep import report_sweep
 from experiments.reports.tuning import report_tuning
 from tuning.diagnosis.workflow import DiagnosisResult
@@ -59,8 +59,7 @@ def section(result: object, writer: Report) -> None:
 @section.register
 def _(result: Run, writer: Report) -> None:
     writer.values("run", status=result.status.message, **result.as_dict())
-    write_run(_out(writer) / "run.csv", result)
-    writer.figure("run", run_figure(result))
+    write_simulation(writer, result)
 
 
 @section.register
@@ -86,8 +85,3 @@ def _(result: TuningResult, writer: Report) -> None:
 @section.register
 def _(result: SweepResult, writer: Report) -> None:
     report_sweep(writer, result)
-
-
-def _out(writer: Report) -> Path:
-    assert writer.out is not None
-    return writer.out

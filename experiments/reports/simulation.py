@@ -49,6 +49,13 @@ def write_run(path: Path, run: Run) -> None:
     write_csv(path, channels, {name: CHANNELS[name].unit for name in FORCES if name in channels})
 
 
+def write_simulation(report: Report, run: Run) -> None:
+    """The files of a run: what the command writes, the report of a result, and a machine of a sweep run again."""
+    if report.out is not None:
+        write_run(report.out / "run.csv", run)
+        report.figure("run", run_figure(run))
+
+
 def simulate_drive(
     drive: Path, motion: str, load: str, machine: Path | None, settle: float, seed: int, out: Path | None
 ) -> bool:
@@ -78,9 +85,7 @@ def simulate_drive(
             if run.load_estimate is not None:
                 _load(report, float(run.load[-1]), float(run.load_estimate[-1]))
         report.values("run", status=run.status.message)
-        if report.out is not None:
-            write_run(report.out / "run.csv", run)
-            report.figure("run", run_figure(run))
+        write_simulation(report, run)
     return run.status.ok
 
 

@@ -12,7 +12,7 @@ from diffdrive.motion.text import require_choice
 from diffdrive.observers.convergence import convergence_warnings
 from diffdrive.support.atomic_write import atomic_write
 from experiments.reports.report import RESULT, Report, named_file
-from experiments.reports.simulation import run_figure, write_run
+from experiments.reports.simulation import write_simulation
 from experiments.reports.sweep import figures
 from experiments.reports.sweep.tables import LISTED, GroupInfluences, print_sweep, print_varied
 from tuning.sweeps.engine import Precision
@@ -207,10 +207,9 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
                 if alike
                 else "The errors are NOT those of the sweep: another processor, or another version of what it uses?"
             )
+        write_simulation(report, simulated)
         if report.out is not None:
-            write_run(report.out / "run.csv", simulated)
             # the gains are the axis's; observers and feed-forwards in a file take the file's own model
             tables = axis_tables(plan.axis_of(machine.drive))
             write_axis(report.out / "machine.toml", parse_axis(tables, f"machine {number}"))
-            report.figure("run", run_figure(simulated))
     return simulated.status.ok and bool(np.isnan(diverged_at[0]))
