@@ -18,6 +18,12 @@ FILES = {file.name for file in SOURCES}
 WORDS = {word for file in SOURCES for word in re.findall(r"\w+", file.read_text(encoding="utf-8"))}
 
 
+def test_the_drive_file_reference_in_the_docs_is_current():
+    from diffdrive.axis_file.reference import markdown
+
+    assert markdown() in (ROOT / "docs" / "reference" / "drive-file.md").read_text(encoding="utf-8")
+
+
 def test_the_reference_of_motions_in_the_docs_is_current():
     page = (ROOT / "docs" / "reference" / "motions.md").read_text(encoding="utf-8")
     for table in markdown().split("\n\n"):

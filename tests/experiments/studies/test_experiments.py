@@ -2,7 +2,6 @@
 
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -198,14 +197,6 @@ def test_the_emps_study_meets_its_bars(tmp_path):
     assert ("volts taken as newtons", "fatal") in severities
     assert ("as read", "fatal") not in severities
     assert {"emps.png", "emps_friction.png"} <= set(written["figures"])
-
-
-def test_the_drive_file_reference_in_the_docs_is_current():
-    from diffdrive.axis_file.reference import markdown
-
-    assert markdown() in (Path(__file__).parents[3] / "docs" / "reference" / "drive-file.md").read_text(
-        encoding="utf-8"
-    )
 
 
 @pytest.mark.slow
