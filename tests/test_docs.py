@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diffdrive.motion.reference import markdown, reference
+from diffdrive.axis_file import reference as drive_file
+from diffdrive.motion import reference as motions
 from diffdrive.motion.text import LOAD_UNITS, LOADS, MOTION_UNITS, MOTIONS, parse_load, parse_motion
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -18,15 +19,18 @@ FILES = {file.name for file in SOURCES}
 WORDS = {word for file in SOURCES for word in re.findall(r"\w+", file.read_text(encoding="utf-8"))}
 
 
-def test_the_drive_file_reference_in_the_docs_is_current():
-    from diffdrive.axis_file.reference import markdown
-
-    assert markdown() in (ROOT / "docs" / "reference" / "drive-file.md").read_text(encoding="utf-8")
+def test_the_reference_of_drive_files_in_the_docs_is_current():
+    """That of the effects stands where the effects are explained: a further one has one page."""
+    rows = [*drive_file.reference()]
+    effects = [row for row in rows if row[0].startswith("[effects.")]
+    for page, its_own in (("drive-file.md", [row for row in rows if row not in effects]), ("effects.md", effects)):
+        text = (ROOT / "docs" / "reference" / page).read_text(encoding="utf-8")
+        assert drive_file.markdown(its_own) in text, f"{page}: `diffdrive keys` prints what it should hold"
 
 
 def test_the_reference_of_motions_in_the_docs_is_current():
     page = (ROOT / "docs" / "reference" / "motions.md").read_text(encoding="utf-8")
-    for table in markdown().split("\n\n"):
+    for table in motions.markdown().split("\n\n"):
         assert table.strip() in page
 
 
@@ -44,13 +48,13 @@ def settings(told):
     return ",".join(written)
 
 
-@pytest.mark.parametrize("row", list(reference(MOTIONS, MOTION_UNITS)), ids=lambda row: row[0])
+@pytest.mark.parametrize("row", list(motions.reference(MOTIONS, MOTION_UNITS)), ids=lambda row: row[0])
 def test_a_motion_needs_what_the_reference_says_and_no_more(row):
     text = settings(row[1]).replace("rounding=0.1", "rounding=0.05")
     assert parse_motion(f"{row[0]}:{text}", 1e4).duration > 0.0
 
 
-@pytest.mark.parametrize("row", list(reference(LOADS, LOAD_UNITS)), ids=lambda row: row[0])
+@pytest.mark.parametrize("row", list(motions.reference(LOADS, LOAD_UNITS)), ids=lambda row: row[0])
 def test_a_load_needs_what_the_reference_says_and_no_more(row):
     text = settings(row[1]).replace("end=0.1", "end=0.2")
     assert np.max(parse_load(f"{row[0]}:{text}", np.linspace(0.0, 1.0, 101))) > 900.0

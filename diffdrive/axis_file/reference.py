@@ -1,7 +1,7 @@
 """Every key of a drive file, with its unit, range and meaning; those of parameters as their classes declare them."""
 
 import dataclasses
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterable, Iterator
 
 import equinox as eqx
 
@@ -104,8 +104,8 @@ def reference() -> Iterator[tuple[str, ...]]:
         yield from _parameter_rows(f"effects.{name}", "", effect)
 
 
-def markdown() -> str:
-    """The reference as a Markdown table."""
+def markdown(rows: Iterable[tuple[str, ...]] | None = None) -> str:
+    """The reference, or some of its rows, as a Markdown table."""
     lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
-    lines += ["| " + " | ".join(row) + " |" for row in reference()]
+    lines += ["| " + " | ".join(row) + " |" for row in (reference() if rows is None else rows)]
     return "\n".join(lines) + "\n"
