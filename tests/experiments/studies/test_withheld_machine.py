@@ -130,8 +130,9 @@ def test_a_dead_time_takes_its_toll_of_the_force_whichever_way_it_pushes(dead):
 
 
 def test_every_effect_with_an_equation_of_its_own_is_held_against_the_catalogue():
+    """Of an effect that is not among its faults the study says nothing, and that it does not."""
     assert {effect.name for _, effect, _ in FAULTS if not isinstance(effect, tuple)} == KNOWN.keys() - ELSEWHERE
-    assert KNOWN.keys() == EFFECTS.keys()
+    assert KNOWN.keys() <= EFFECTS.keys()
 
 
 @pytest.mark.parametrize(("faults", "effect", "most"), FAULTS, ids=[named(effect) for _, effect, _ in FAULTS])
