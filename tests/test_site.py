@@ -28,10 +28,19 @@ def resolved(path):
     return found
 
 
+def hook(name):
+    """A module of the site's hooks, which are no package."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / "hooks" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 @pytest.fixture(scope="module")
 def entries():
     pages = sorted((DOCS / "reference" / "api").glob("*.md"))
-    return [path for page in pages for path in ENTRY.findall(page.read_text(encoding="utf-8"))]
+    texts = [hook("listed").listed(page.read_text(encoding="utf-8")) for page in pages]
+    return [path for text in texts for path in ENTRY.findall(text)]
 
 
 @pytest.mark.parametrize("facade", FACADES, ids=lambda facade: facade.__name__)
@@ -66,10 +75,7 @@ SLOW = {"identify-and-diagnose", "tune-and-sweep"}  # minutes; each build of the
 )
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:jupyter_client")
 def test_a_notebook_runs_and_shows_a_figure(notebook, tmp_path):
-    where = DOCS / "hooks" / "executed.py"
-    spec = importlib.util.spec_from_file_location("executed", where)
-    executed = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(executed)
+    executed = hook("executed")
     done = executed.run(executed.read(notebook), tmp_path)
     outputs = [output for cell in done.cells for output in cell.get("outputs", [])]
     assert any("image/png" in output.get("data", {}) for output in outputs)

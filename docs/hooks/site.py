@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import executed
+import listed
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
 
@@ -40,8 +41,9 @@ def on_files(files: Any, *, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Links as they work in the repository become links of the site."""
+    """Links as they work in the repository become links of the site; what the catalogues hold is listed."""
     uri = page.file.src_uri
+    markdown = listed.listed(markdown) if uri.startswith("reference/api/") else markdown
     folder = "" if uri in ABOVE.values() else posixpath.join("docs", posixpath.dirname(uri))
     return LINK.sub(lambda link: linked(link[1], folder, uri), markdown)
 
