@@ -52,7 +52,7 @@ def too_many_turns(turns: Scalar | np.ndarray, noun: str) -> str | None:
     largest = float(np.max(np.abs(turns)))
     if largest <= MAX_TURNS:
         return None
-    return f"{noun} is {largest:.3g} of its waves, of which {MAX_TURNS:g} can be told apart: check its units"
+    return f"{noun} is {largest:.3g} of its waves, of which {MAX_TURNS:g} can be resolved: check its units"
 
 
 class ConstantForce(TableEffect):

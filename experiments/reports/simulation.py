@@ -103,7 +103,7 @@ def _load(report: Report, load: float, estimate: float) -> None:
     if abs(estimate - load) > max(MUCH_LOAD, FAR_OFF * load):
         report.say(
             "The estimate is far from the load: the estimator takes for load whatever friction, or other force, its "
-            "model does not hold, and a motion without steady sliding tells it little."
+            "model does not hold, and a motion without steady sliding shows it little."
         )
 
 

@@ -210,7 +210,7 @@ def _emps_unchanged(report: Report, records: Records, drive: Drive, controller: 
     diagnosis = _diagnose(report, drive, controller, records["estimation"].log, 2, IDENTIFIED_TOLERANCE)
     report.say(f"EMPS as it is: {diagnosis.verdict.verdict}: {diagnosis.verdict.says}")
     report.table(
-        "emps_causes", ("effect", "confidence", "evidence", "parameters"), _causes(diagnosis), "EMPS: what it lacks"
+        "emps_causes", ("effect", "confidence", "evidence", "parameters"), _causes(diagnosis), "EMPS: what is missing"
     )
     log = records["pulses"].log
     candidates = {"identified": drive, "with what was found": augmented_drive(diagnosis)}

@@ -167,7 +167,7 @@ def diagnose(
     verdict = _within(verdict, lacks)
     if sought.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
-        verdict = verdict.and_says(f"{last} was withdrawn, since with it what is held out is foreseen worse")
+        verdict = verdict.and_says(f"{last} was withdrawn, since the held-out data are predicted worse with it")
     if without:
         verdict = verdict.and_says(f"not looked for: {', '.join(without)}")
     base = found.base  # the search may have led the recalibration further

@@ -66,7 +66,7 @@ def doubted_by_event(verdict: Verdict, fitted: Fitted) -> Verdict:
     at = float(logged.starts[event.lane]) + event.begins * logged.sampling.period
     says = (
         f"the recalibrated drive explains the logs to the noise but for a moment: about {at:.3f} s into log "
-        f"{logged.owner[event.lane] + 1} the table moves as neither it nor any effect that was looked for foresees "
+        f"{logged.owner[event.lane] + 1} the table moves as neither it nor any effect that was looked for predicts "
         f"(noise does so once in 1e{-event.decades:.0f} logs)"
     )
     return verdict.doubted(says)._replace(says=says)

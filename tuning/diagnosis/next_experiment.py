@@ -87,11 +87,11 @@ def next_experiment(found: Diagnosis, description: Axis) -> Experiment:
     best, tells = _surest({name: tells_of(name, STEPS) for name in tried}, lambda name: tells_of(name, MORE))
     if tells < ENOUGH:
         says = (
-            f"none of the {len(tried)} motions tried would tell {between[0]} from {between[1]} "
+            f"none of the {len(tried)} motions tried would distinguish {between[0]} from {between[1]} "
             f"(the best by {tells:.0f} in -2 log likelihood, {ENOUGH:.0f} being enough)"
         )
         return Experiment("", between, tells, says)
-    says = f"{best} would tell {between[0]} from {between[1]} (by {tells:.0f} in -2 log likelihood)"
+    says = f"{best} would distinguish {between[0]} from {between[1]} (by {tells:.0f} in -2 log likelihood)"
     return Experiment(best, between, tells, says, tried[best])
 
 
@@ -207,7 +207,9 @@ def _dwelling(region: Region | None, at: _Axis) -> tuple[str, str]:
         return _strokes(at, at.speed, at.travel), "is to be run under such a load and under another"
     if region.dimension == "direction":
         return _strokes(at, at.speed, at.travel), "runs the same strokes in both directions"
-    return _strokes(at, at.speed, at.travel), "repeats one stroke, and so tells what comes once from what comes again"
+    return _strokes(
+        at, at.speed, at.travel
+    ), "repeats one stroke, and so separates what comes once from what comes again"
 
 
 def _strokes(at: _Axis, speed: float, distance: float, dwell: float = 0.1) -> str:

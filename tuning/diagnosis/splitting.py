@@ -64,7 +64,7 @@ def split(fitter: Fitter, best: Fitted) -> Split:
             return _held_out(best, counts * ~mine, counts * mine, moves * mine, log)
     fitted = _every_other(best, travelled, ~np.isin(owner, going)[:, None])
     which, whole = ("the log", "its end or the rest") if logged.logs == 1 else ("each log", "any one log or the others")
-    says = f"every other tenth of {which} held out, since {whole} would tell too little, {SESSION}the rest"
+    says = f"every other tenth of {which} held out, since {whole} would determine too little, {SESSION}the rest"
     return Split(counts * fitted, counts * fitted, counts * ~fitted, going, [], says)
 
 

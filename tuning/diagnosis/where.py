@@ -292,9 +292,8 @@ def _line(standing: Standing, lead: float | None) -> Region:
         locked = "locked to time" if in_time else "locked to position"
     else:
         speed = line.value * rival.value
-        locked = (
-            f"which cannot be told from {_wave(rival.value, not in_time, lead)} at one speed ({1e3 * speed:.3g} mm/s)"
-        )
+        other = f"{_wave(rival.value, not in_time, lead)} at one speed ({1e3 * speed:.3g} mm/s)"
+        locked = f"which cannot be distinguished from {other}"
     says = f"{_wave(line.value, in_time, lead)}, {locked}, with {_percent(line.share)} of the gap"
     return Region(line.dimension, name, line.share, 0.0, line.p_value, says)
 

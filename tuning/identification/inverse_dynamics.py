@@ -239,6 +239,6 @@ def _undetermined(names: list[str]) -> str:
     if len(names) == 1:
         return f"{names[0]} is not determined: no sample depends on it (no motion that way, or no acceleration)"
     return (
-        f"{', '.join(names[:-1])} and {names[-1]} cannot be told apart by these data: they need motion in both "
+        f"{', '.join(names[:-1])} and {names[-1]} cannot be distinguished by these data: they need motion in both "
         "directions, at several speeds, with acceleration between"
     )

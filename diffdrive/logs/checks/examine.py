@@ -185,7 +185,7 @@ def _drop_refuted_repair(finding: Finding, before: list[Finding], after: list[Fi
     if new:
         return replace(
             finding,
-            remedy=f"{finding.remedy}; but the log repaired so is not sound ({_listing(new)}), so the cause is not "
+            remedy=f"{finding.remedy}; but the log repaired so has other faults ({_listing(new)}), so the cause is not "
             "certain",
             rivals=(*finding.rivals, *dict.fromkeys(other.cause for other in new)),
             repair=None,

@@ -73,7 +73,7 @@ def _coarse_clock_note(times: Signal) -> str:
         f"time stamps are coarser than the period (resolution {steps[steps > 0].min():.3g} s): replaced by uniform "
         "ones; "
         + (
-            f"at least {missing} samples are missing or late, and the stamps do not tell where"
+            f"at least {missing} samples are missing or late, and the stamps do not show where"
             if missing
             else "single samples that are missing would not show"
         )

@@ -40,5 +40,5 @@ def _larger(found: Sequence[Gap]) -> list[str]:
     return [
         f"Larger with the identified drive: {'; '.join(dict.fromkeys(larger))}. The search minimises the one-step "
         "prediction of the logs that it is given, weighted by its noise; in closed and in open loop, and on other "
-        "logs, what the model lacks may weigh otherwise, and where both drives are at the noise their order is chance."
+        "logs, the missing effect may weigh otherwise, and where both drives are at the noise their order is chance."
     ]

@@ -239,7 +239,7 @@ def print_remarks(report: Report, found: Identification) -> None:
         )
     if found.correlated:
         rows = [[_named(one), _named(other), r] for one, other, r in found.correlated]
-        report.table("correlated", ("one", "other", "correlation"), rows, "Pairs that the logs hardly tell apart")
+        report.table("correlated", ("one", "other", "correlation"), rows, "Pairs that the logs hardly distinguish")
     undetermined = [one.name for one in found.estimates if one.status == "not determined"]
     if undetermined:
         report.say(f"The logs do not determine {', '.join(undetermined)}: they stay as the drive file says.")

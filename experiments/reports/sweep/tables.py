@@ -215,7 +215,7 @@ def _blame(report: Report, plan: SweepPlan, found: Sequence[GroupInfluences], by
             )
         elif not any(influence.is_significant for influence in influences):
             report.say(
-                f"{place}: no quantity stands out by its share of the spread; more machines tell smaller shares."
+                f"{place}: no quantity stands out by its share of the spread; more machines show smaller shares."
             )
 
 
@@ -235,7 +235,7 @@ def _blame_for_divergence(report: Report, plan: SweepPlan, found: Sequence[Group
             rows.append([one.motion, one.controller, influence.name, *shown])
         if not significant_ones:
             why = (
-                "which nothing that varies tells from the others"
+                "which nothing that varies distinguishes from the others"
                 if influences
                 else f"and of why nothing is said: that takes {MIN_MACHINES} machines, some that stay, and what varies"
             )

@@ -222,7 +222,7 @@ def _unexplained(report: Report, identified: Identification, log: Log) -> None:
     """What the model does not explain."""
     report.say(identified.adequacy.says)
     for first, second, correlation in identified.correlated:
-        report.say(f"hardly told apart: {first} and {second} (correlation {correlation:.3f})")
+        report.say(f"hardly distinguished: {first} and {second} (correlation {correlation:.3f})")
     ripples = ripple(log.position, identified.velocity[0], identified.missing_force[0])
     names = ("forwards_N", "backwards_N")
     report.values(

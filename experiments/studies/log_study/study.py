@@ -82,7 +82,7 @@ def log_study(
     axes = study_drives() if axes is None else axes
     with report.working("logs with a fault"):
         report_faulty_logs(report, score_faulty_logs(report, cases, seed, axes, examine))
-    with report.working("sound logs"):
+    with report.working("fault-free logs"):
         sound_logs(report, healthy, seed, axes, examine)
     with report.working("pairs of logs"):
         pairs_of_logs(report, pairs, seed, axes, together)
@@ -178,10 +178,10 @@ def sound_logs(report: Report, count: int, seed: int, axes: Sequence[StudyDrive]
                 [number, case.drive.name, case.log.name, one.severity, one.cause, one.channel, one.message]
                 for one in findings
             ]
-            advance("sound logs", number + 1, count)
+            advance("fault-free logs", number + 1, count)
     if rows:
         head = ("log", "axis", "motion", "severity", "cause", "channel", "found")
-        report.table("sound", head, rows, "What was found in sound logs")
+        report.table("sound", head, rows, "What was found in fault-free logs")
     clean = sum(one in ("none", "note") for one in worst)
     report.values(
         "sound_logs", logs=count, fatal=worst.count("fatal"), fatal_share=share(worst.count("fatal"), count),

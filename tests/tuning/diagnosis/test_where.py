@@ -161,7 +161,7 @@ def test_at_one_speed_a_ripple_cannot_be_told_from_a_vibration(truth):
     position = 0.01 * time
     angle = 2 * np.pi * (position / PITCH if truth == "ripple" else 8.0 * time)
     force = 2.0 * np.sin(angle) + 0.3 * np.random.default_rng(1).standard_normal(len(time))
-    told = [one for one in located(force, position) if "told from" in one.says]
+    told = [one for one in located(force, position) if "distinguished from" in one.says]
     assert len(told) == 1
     assert "at one speed (10 mm/s)" in told[0].says
     assert "locked" not in told[0].says

@@ -205,7 +205,7 @@ def test_one_direction_does_not_tell_coulomb_from_constant_force():
     assert found.mass == pytest.approx(MASS, rel=1e-3)
     assert found.viscous.positive == pytest.approx(VISCOUS, rel=1e-3)
     assert np.isnan([found.coulomb.positive, found.constant_force]).all()
-    assert any("coulomb and constant_force cannot be told apart" in note for note in found.notes)
+    assert any("coulomb and constant_force cannot be distinguished" in note for note in found.notes)
     assert found.fit.error_percent < 0.1  # the force is foretold all the same
     split = identify(one_way(), DIRECTIONAL)
     assert split.coulomb.positive == pytest.approx(COULOMB - CONSTANT, rel=1e-3)
@@ -219,7 +219,7 @@ def test_one_speed_does_not_tell_viscous_from_coulomb():
     force = 0.02 * VISCOUS + COULOMB + 0.1 * rng.standard_normal(3_000)
     found = identify(Log("cruise", time, position, force))
     assert np.isnan([found.viscous.positive, found.coulomb.positive, found.constant_force]).all()
-    assert any("viscous, coulomb and constant_force cannot be told apart" in note for note in found.notes)
+    assert any("viscous, coulomb and constant_force cannot be distinguished" in note for note in found.notes)
     drive = paper_drive()
     seeded, notes = initial_drive(drive, found)
     assert seeded.plant.mass == drive.plant.mass
