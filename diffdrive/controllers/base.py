@@ -5,9 +5,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, PyTree
 
 from diffdrive.errors import ParameterError
@@ -80,9 +78,9 @@ class Controller(eqx.Module):
 
 
 class Feedforward(eqx.Module):
-    """Force for the reference's inertia and damping; zero mass and damping switch it off."""
+    """Force for the reference's inertia and damping. A controller without feed-forward has None in its place."""
 
-    mass: Scalar = quantity("kg", "mass in the acceleration feed-forward", at_least=0.0, default=0.0)
+    mass: Scalar = quantity("kg", "mass in the acceleration feed-forward", at_least=0.0)
     damping: Directional = quantity(
         "N*s/m", "damping in the velocity feed-forward", at_least=0.0, per_direction=True, default=0.0
     )
@@ -96,15 +94,6 @@ class Feedforward(eqx.Module):
     def of(cls, plant: Plant) -> "Feedforward":
         """The feed-forward that this plant needs."""
         return cls(mass=plant.mass, damping=plant.damping)
-
-    @property
-    def is_on(self) -> bool:
-        """Whether it feeds anything forward; true for traced parameters."""
-        return isinstance(self.mass, jax.core.Tracer) or bool(np.all(np.asarray(self.mass) > 0.0))
-
-    def with_model(self, plant: Plant) -> "Feedforward":
-        """The feed-forward of another plant; one that is off stays off."""
-        return Feedforward.of(plant) if self.is_on else self
 
 
 class PDGains(eqx.Module):
@@ -143,21 +132,23 @@ class Tracking(eqx.Module):
     """What every controller of the paper shares: the same feedback, and the same motion feed-forward."""
 
     gains: PDGains
-    feedforward: Feedforward = Feedforward()
+    feedforward: Feedforward | None = None
 
     def step(self, last: LastError, reference: Reference, position: Scalar, period: float) -> tuple[LastError, Scalar]:
         """Feedback plus motion feed-forward (N)."""
         error = reference.position - position
-        force = self.gains.force(error, last.value_or(error), period) + self.feedforward.force(reference)
+        force = self.gains.force(error, last.value_or(error), period)
+        if self.feedforward is not None:
+            force = force + self.feedforward.force(reference)
         return LastError.after(error), force
 
     def table(self) -> TomlTable:
         """Its keys of [controller]."""
-        return {"feedforward": self.feedforward.is_on} | quantity_table(self.gains)
+        return {"feedforward": self.feedforward is not None} | quantity_table(self.gains)
 
     def with_model(self, plant: Plant) -> "Tracking":
-        """The same gains with the feed-forward of this plant."""
-        return Tracking(self.gains, self.feedforward.with_model(plant))
+        """The same gains with the feed-forward of this plant, or still with none."""
+        return self if self.feedforward is None else Tracking(self.gains, Feedforward.of(plant))
 
 
 TRACKING_GAINS = {

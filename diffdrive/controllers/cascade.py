@@ -37,7 +37,7 @@ class Cascade(Controller):
     velocity_feedforward: Scalar = quantity(
         "1", "share of the reference velocity fed forward", at_least=0.0, default=0.0
     )
-    feedforward: Feedforward = Feedforward()
+    feedforward: Feedforward | None = None
     velocity_samples: int = eqx.field(static=True, default=1)
 
     def __check_init__(self) -> None:
@@ -54,11 +54,11 @@ class Cascade(Controller):
         return {name: Tunable(name, FEEDBACK_FACTOR) for name in ("kp", "kv", "ki")}
 
     def table(self) -> TomlTable:
-        options = {"feedforward": self.feedforward.is_on, "velocity_samples": self.velocity_samples}
+        options = {"feedforward": self.feedforward is not None, "velocity_samples": self.velocity_samples}
         return options | quantity_table(self)
 
     def with_model(self, drive: Drive) -> "Cascade":
-        return replace(self, feedforward=self.feedforward.with_model(drive.plant))
+        return self if self.feedforward is None else replace(self, feedforward=Feedforward.of(drive.plant))
 
     @property
     def pipelines(self) -> tuple[tuple[str, int], ...]:
@@ -78,7 +78,9 @@ class Cascade(Controller):
         velocity = (position - oldest_position) / (self.velocity_samples * period)
         velocity_reference = self.kp * (reference.position - position) + self.velocity_feedforward * reference.velocity
         integral = state.integral + self.ki * period * (velocity_reference - velocity)
-        force = self.kv * (velocity_reference - velocity) + integral + self.feedforward.force(reference)
+        force = self.kv * (velocity_reference - velocity) + integral
+        if self.feedforward is not None:
+            force = force + self.feedforward.force(reference)
         return CascadeState(history, integral, jnp.ones_like(position)), Command(force)
 
 

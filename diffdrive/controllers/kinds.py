@@ -87,12 +87,12 @@ class Kind:
         return key in options or any(key in keys.names() for keys in self.keys if keys.table == table)
 
 
-def read_feedforward(section: Section, drive: Drive, default: bool) -> Feedforward:
+def read_feedforward(section: Section, drive: Drive, default: bool) -> Feedforward | None:
     """The motion feed-forward that a table specifies: that of the drive's inertia and damping, or none."""
     enabled = section.take("feedforward", default)
     if not isinstance(enabled, bool):
         raise section.fail("feedforward", f"must be true or false, got {short_repr(enabled)}")
-    return Feedforward.of(drive.plant) if enabled else Feedforward()
+    return Feedforward.of(drive.plant) if enabled else None
 
 
 def read_tracking(section: Section, drive: Drive, feedforward: bool = True) -> Tracking:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive.controllers import Controller, FrictionCompensation
+from diffdrive.controllers import Controller, Feedforward, FrictionCompensation
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Directional, Drive, Friction, Plant
 from diffdrive.observers.friction_observer import KalmanObserver
@@ -57,7 +57,7 @@ def lane_parameters(drive: Drive, controller: Controller, load_amplitude: float 
         and plain
     ):
         raise ParameterError("the hand-written steps know PD+FC+LE on a drive without limit, delay or effects alone")
-    gains, forward, q = controller.tracking.gains, controller.tracking.feedforward, observer.tuning
+    gains, forward, q = controller.tracking.gains, controller.tracking.feedforward or Feedforward(0.0), observer.tuning
     return LaneParameters(
         _machine(drive.plant, drive.friction),
         _machine(observer.plant, observer.friction),

@@ -75,6 +75,18 @@ def test_a_roll_out_is_the_simulation():
     assert float(same.peak_error()) == pytest.approx(run.peak(), rel=1e-12)
 
 
+BARE_PD = AXIS.with_controller(dd.controllers.PD(dd.controllers.Tracking(AXIS.controller.tracking.gains)))
+AXES = {kind: dd.paper_axis(controller=kind) for kind in KINDS} | {"pd without feed-forward": BARE_PD}
+
+
+@pytest.mark.parametrize("axis", AXES.values(), ids=AXES)
+def test_another_machine_is_believed_in_alike_within_a_compiled_function(axis):
+    def error(axis):
+        return dd.rollout(axis.replace({"plant.mass": 130.0}).smooth(), LAP).rms_error()
+
+    assert float(jax.jit(error)(axis)) == pytest.approx(float(error(axis)), rel=1e-9)
+
+
 def test_a_machine_of_its_own_moves_under_what_the_axis_believes():
     machine = AXIS.replace({"plant.mass": 150.0})
     run = dd.simulate(AXIS, LAP, machine=machine)

@@ -28,7 +28,7 @@ class FittedVelocity(Controller):
     """
 
     gains: dict[str, Scalar]
-    feedforward: Feedforward
+    feedforward: Feedforward | None
     cascade: bool = eqx.field(static=True)
 
     @classmethod
@@ -59,7 +59,9 @@ class FittedVelocity(Controller):
         else:
             force = gains["kp"] * error + gains["kd"] * slope
         state = FittedVelocityState((newest, previous[0], previous[1]), jnp.ones_like(position), integral)
-        return state, Command(force + self.feedforward.force(reference))
+        if self.feedforward is not None:
+            force = force + self.feedforward.force(reference)
+        return state, Command(force)
 
 
 @eqx.filter_jit

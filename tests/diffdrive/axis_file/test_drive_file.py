@@ -235,7 +235,7 @@ def test_the_paper_controllers_feed_motion_forward_unless_told_otherwise_and_bar
         del tables["controller"]["feedforward"]
         read = parse_axis(tables).controller
         feedforward = read.feedforward if isinstance(read, Cascade) else read.tracking.feedforward
-        assert float(feedforward.mass) == (0.0 if kind in bare else 100.0)
+        assert feedforward == (None if kind in bare else Feedforward.of(PLANT))
 
 
 def test_a_controller_believes_in_the_plant_of_its_file():

@@ -62,7 +62,7 @@ def assert_command(run: Run, expected: np.ndarray) -> None:
 # --- feedback and feed-forward ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("feedforward", [Feedforward(), FEEDFORWARD])
+@pytest.mark.parametrize("feedforward", [None, FEEDFORWARD])
 def test_pd_is_its_formula(feedforward):
     run = run_of(PD(Tracking(PDGains(PAPER_KP, PAPER_KD), feedforward)), ROUGH)
     error = run.reference - run.position
@@ -75,6 +75,22 @@ def test_the_plant_s_own_feedforward_leaves_only_friction_to_feedback():
     run = run_of(PD(Tracking(PDGains(PAPER_KP, PAPER_KD), Feedforward.of(IDEAL.plant))))
     friction = float(steady_friction(IDEAL.friction, 0.01, 0.0))
     assert PAPER_KP * run.error[SETTLED] == pytest.approx(friction, rel=1e-4)
+
+
+def test_a_feedforward_is_that_of_the_plant_or_none():
+    heavier = dataclasses.replace(IDEAL, plant=dataclasses.replace(IDEAL.plant, mass=130.0))
+    for controller in (PD(TRACKING), Cascade(kp=1.0, kv=1.0, feedforward=Feedforward(0.0))):
+        assert controller.table()["feedforward"] is True
+        assert controller.with_model(heavier) == heavier_of(controller, Feedforward.of(heavier.plant))
+    for controller in (PD(Tracking(PDGains(1.0, 1.0))), Cascade(kp=1.0, kv=1.0)):
+        assert controller.table()["feedforward"] is False
+        assert controller.with_model(heavier) == controller
+
+
+def heavier_of(controller, feedforward):
+    if isinstance(controller, Cascade):
+        return dataclasses.replace(controller, feedforward=feedforward)
+    return PD(Tracking(controller.tracking.gains, feedforward))
 
 
 def test_static_errors_of_the_paper_s_pd():
