@@ -65,6 +65,27 @@ class Controller(eqx.Module):
     def init(self, position: Scalar) -> PyTree:
         """State at rest, the table measured at `position` (m)."""
 
+    def moving(
+        self,
+        state: PyTree,
+        position: Scalar,
+        velocity: Scalar,
+        bristle: Scalar | None = None,
+        load: Scalar | None = None,
+    ) -> PyTree:
+        """The `state` at rest with all that is known of a steady motion: m, m/s, and if given m and N.
+
+        An observer estimates these. Whatever else settles in a steady motion may stay as it is.
+        """
+        return state
+
+    def is_dynamic(self, state: PyTree) -> PyTree:
+        """Which states take part in a small motion about a steady one: true or false, of `state` or each of its parts.
+
+        A covariance does not, nor does what is only assumed. Counters and flags (no floating-point numbers) never do.
+        """
+        return True
+
     @abc.abstractmethod
     def step(
         self, state: PyTree, reference: Reference, position: Scalar, applied: Scalar, period: float

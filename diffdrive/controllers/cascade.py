@@ -7,6 +7,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import PyTree
 
 from diffdrive.controllers.base import FEEDBACK_FACTOR, Command, Controller, Feedforward, Reference, Tunable
 from diffdrive.controllers.kinds import FEEDFORWARD, Keys, Kind, Option, Section, read_feedforward
@@ -68,6 +69,9 @@ class Cascade(Controller):
     def init(self, position: Scalar) -> CascadeState:
         zero = jnp.zeros_like(position)
         return CascadeState(filled(position, self.velocity_samples), zero, zero)
+
+    def is_dynamic(self, state: CascadeState) -> PyTree:
+        return jax.tree.map(lambda _: True, state)._replace(started=False)
 
     def step(
         self, state: CascadeState, reference: Reference, position: Scalar, applied: Scalar, period: float

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 from jaxtyping import PyTree
 
 from diffdrive.controllers.base import (
@@ -74,6 +75,19 @@ class FrictionCompensation(Controller):
 
     def init(self, position: Scalar) -> FrictionCompensationState:
         return FrictionCompensationState(LastError.none(), self.observer.init(position))
+
+    def moving(
+        self,
+        state: FrictionCompensationState,
+        position: Scalar,
+        velocity: Scalar,
+        bristle: Scalar | None = None,
+        load: Scalar | None = None,
+    ) -> FrictionCompensationState:
+        return state._replace(observer=self.observer.moving(state.observer, position, velocity, bristle, load))
+
+    def is_dynamic(self, state: FrictionCompensationState) -> PyTree:
+        return jax.tree.map(lambda _: True, state)._replace(observer=self.observer.is_dynamic(state.observer))
 
     def step(
         self, state: FrictionCompensationState, reference: Reference, position: Scalar, applied: Scalar, period: float

@@ -21,7 +21,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Complex, Float, PyTree
 
-from diffdrive.controllers import Controller, FrictionCompensation, Reference
+from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import stages
 from diffdrive.effects.base import Push
 from diffdrive.errors import ParameterError
@@ -29,16 +29,9 @@ from diffdrive.loop.simulate import LoopState, initial_state, step_machine
 from diffdrive.model import actuator, plant, sensor
 from diffdrive.model.friction import lugre_coefficients, steady_friction, stribeck_level
 from diffdrive.model.parameters import Drive, Sampling, Scalar
-from diffdrive.observers.load_estimator import FixedLoad
 from diffdrive.support.resources import require_memory
 
 SETTLING_TIME = 0.3  # s of the motion after which filters have converged to their gains
-FROZEN = (
-    "covariance",
-    "count",
-    "known",
-    "started",
-)  # states that do not take part in a small motion about the steady one
 BALANCING = 8  # sweeps
 MATRICES = 4  # of a loop that are in memory at once: itself, and the solver's
 MIN_COSINE = 1e-12  # between left and right eigenvector; below it the mode is multiple and has no derivative
@@ -73,8 +66,7 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, point: O
     """
     drive = stages.with_machine_effects(drive, drive.effects)
     settled = _settled_state(drive, controller, sampling, point)
-    frozen = (*FROZEN, "load") if _load_is_assumed(controller) else FROZEN
-    vector, rebuild = _state_vector(settled, frozen)
+    vector, rebuild = _state_vector(settled, controller)
     _require_memory(vector.size, 1)
     reference = Reference(settled.plant.position, point.velocity, 0.0)
 
@@ -93,7 +85,7 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, point: O
             drive, sampling, state._replace(effects=effect_states), Push(force), 0.0, point.load
         )
         ahead = LoopState(table, requested, controller_state, state.count, effect_states)
-        return _state_vector(ahead, frozen)[0], applied.mean
+        return _state_vector(ahead, controller)[0], applied.mean
 
     force = _steady_force(drive, point)
     a, c = jax.jacfwd(step)(vector, force)
@@ -113,17 +105,9 @@ def _settled_state(drive: Drive, controller: Controller, sampling: Sampling, poi
     level = stribeck_level(drive.friction, velocity, point.load)
     stiffness = lugre_coefficients(drive.friction, velocity, velocity, point.load).stiffness
     deflection = jnp.sign(velocity) * level / stiffness
-    controller_state = initial.controller
-    if isinstance(
-        controller, FrictionCompensation
-    ):  # a filter that begins at the true state only has to find its gains
-        previous_position = -velocity * sampling.period  # its first step ends at the first position
-        observed = controller_state.observer._replace(
-            x=(previous_position + 0.0 * force, velocity + 0.0 * force, deflection + 0.0 * force)
-        )
-        if not _load_is_assumed(controller):
-            observed = observed._replace(load=point.load + 0.0 * force)
-        controller_state = controller_state._replace(observer=observed)
+    # a filter that begins at the true state only has to find its gains; its first step ends at the first position
+    known = (-velocity * sampling.period, velocity, deflection, point.load)
+    controller_state = controller.moving(initial.controller, *(number + 0.0 * force for number in known))
 
     def body(controller_state: PyTree, position: Scalar) -> tuple[PyTree, None]:
         reference = Reference(position, velocity, 0.0)
@@ -161,23 +145,28 @@ def _settled_effects(
     return lax.scan(body, initial, jnp.arange(1.0, count + 1.0))[0]
 
 
-def _load_is_assumed(controller: Controller) -> bool:
-    estimator = getattr(getattr(controller, "observer", None), "load_estimator", None)
-    return isinstance(estimator, FixedLoad)
-
-
-def _state_vector(state: LoopState, frozen: tuple[str, ...]) -> tuple[Array, Callable[[Array], LoopState]]:
-    """The states that are not `frozen` as one vector, and the function from a vector to a complete state."""
-    leaves, tree = jax.tree_util.tree_flatten_with_path(state)
-    is_dynamic = [not any(getattr(key, "name", None) in frozen for key in path) for path, _ in leaves]
-    vector, unravel = ravel_pytree([leaf for (_, leaf), dynamic in zip(leaves, is_dynamic, strict=True) if dynamic])
+def _state_vector(state: LoopState, controller: Controller) -> tuple[Array, Callable[[Array], LoopState]]:
+    """The states that take part in a small motion as one vector, and the function from it to a complete state."""
+    leaves, tree = jax.tree.flatten(state)
+    is_dynamic = jax.tree.leaves(_is_dynamic(state, controller))
+    vector, unravel = ravel_pytree([leaf for leaf, dynamic in zip(leaves, is_dynamic, strict=True) if dynamic])
 
     def rebuild(vector: Array) -> LoopState:
         values = iter(unravel(vector))
         pairs = zip(leaves, is_dynamic, strict=True)
-        return jax.tree.unflatten(tree, (next(values) if dynamic else leaf for (_, leaf), dynamic in pairs))
+        return jax.tree.unflatten(tree, (next(values) if dynamic else leaf for leaf, dynamic in pairs))
 
     return vector, rebuild
+
+
+def _is_dynamic(state: LoopState, controller: Controller) -> PyTree:
+    """For each state whether it takes part in a small motion about the steady one: the controller knows of its own."""
+
+    def of_part(flag: bool, part: PyTree) -> PyTree:
+        return jax.tree.map(lambda leaf: flag and jnp.issubdtype(jnp.result_type(leaf), jnp.floating), part)
+
+    declared = jax.tree.map(lambda _: True, state)._replace(controller=controller.is_dynamic(state.controller))
+    return jax.tree.map(of_part, declared, state)
 
 
 def _balanced(a: Array, b: Array, c: Array, period: float) -> OpenLoop:

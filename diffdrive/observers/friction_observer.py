@@ -62,9 +62,36 @@ class FrictionObserver(eqx.Module):
     def init(self, position: Scalar) -> PyTree:
         """State of the observer for a table at rest at `position` (m)."""
 
+    def moving(
+        self, state: PyTree, position: Scalar, velocity: Scalar, bristle: Scalar | None, load: Scalar | None
+    ) -> PyTree:
+        """As `Controller.moving`."""
+        return state
+
+    def is_dynamic(self, state: PyTree) -> PyTree:
+        """As `Controller.is_dynamic`."""
+        return True
+
     @abc.abstractmethod
     def step(self, state: PyTree, force: Scalar, position: Scalar, period: float) -> tuple[PyTree, ObserverEstimate]:
         """One period: `force` (N) acted over it, `position` (m) was measured at its end."""
+
+
+def _moving(
+    state: ObserverState,
+    friction: Friction,
+    position: Scalar,
+    velocity: Scalar,
+    bristle: Scalar | None,
+    load: Scalar | None,
+) -> ObserverState:
+    """The state with the estimates of a steady motion; a bristle that is not known is that of this friction."""
+    if load is not None:
+        state = state._replace(load=load)
+    if bristle is None:
+        coefficients = lugre_coefficients(friction, velocity, velocity, state.load)
+        bristle = jnp.sign(velocity) * coefficients.level / coefficients.stiffness
+    return state._replace(x=(position, velocity, bristle))
 
 
 class Tuning(eqx.Module):
@@ -124,6 +151,16 @@ class KalmanObserver(FrictionObserver):
         variances = jax.tree.map(lambda q: q + zero, (*self.tuning.process,))
         return ObserverState(x, kalman.diagonal(variances), self.load_estimator.init() + zero)
 
+    def moving(
+        self, state: ObserverState, position: Scalar, velocity: Scalar, bristle: Scalar | None, load: Scalar | None
+    ) -> ObserverState:
+        estimated_load = load if self.load_estimator.estimates_load else None
+        return _moving(state, self.friction, position, velocity, bristle, estimated_load)
+
+    def is_dynamic(self, state: ObserverState) -> PyTree:
+        is_dynamic = jax.tree.map(lambda _: True, state)
+        return is_dynamic._replace(covariance=False, load=self.load_estimator.estimates_load)
+
     def step(
         self, state: ObserverState, force: Scalar, position: Scalar, period: float
     ) -> tuple[ObserverState, ObserverEstimate]:
@@ -146,8 +183,8 @@ class KalmanObserver(FrictionObserver):
         updated_friction = once(estimated_friction(self.friction, updated, state.load))
         load = self.load_estimator.step(state.load, velocity, predicted_friction, updated_friction)
         state = once(ObserverState(updated, covariance, load))
-        is_assumed = isinstance(self.load_estimator, FixedLoad)  # an assumption is no estimate
-        return state, ObserverEstimate(updated_friction, None if is_assumed else load, updated[1], innovation)
+        estimated_load = load if self.load_estimator.estimates_load else None  # an assumption is no estimate
+        return state, ObserverEstimate(updated_friction, estimated_load, updated[1], innovation)
 
 
 class LoadStateTuning(eqx.Module):
@@ -198,6 +235,14 @@ class LoadStateObserver(FrictionObserver):
         zero = jnp.zeros_like(position)
         variances = jax.tree.map(lambda q: q + zero, self.tuning.process)
         return ObserverState((position, zero, zero), kalman.diagonal(variances), self.initial_load + zero)
+
+    def moving(
+        self, state: ObserverState, position: Scalar, velocity: Scalar, bristle: Scalar | None, load: Scalar | None
+    ) -> ObserverState:
+        return _moving(state, self.friction, position, velocity, bristle, load)
+
+    def is_dynamic(self, state: ObserverState) -> PyTree:
+        return jax.tree.map(lambda _: True, state)._replace(covariance=False)
 
     def step(
         self, state: ObserverState, force: Scalar, position: Scalar, period: float

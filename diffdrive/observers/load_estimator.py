@@ -15,6 +15,7 @@ class FixedLoad(eqx.Module):
     load: Scalar = quantity("N", "the load that the observer assumes", default=0.0)
 
     suffix: ClassVar[str] = ""
+    estimates_load: ClassVar[bool] = False
     gains: ClassVar[dict[str, str]] = {}
 
     def init(self) -> Scalar:
@@ -43,6 +44,7 @@ class InnovationLoad(eqx.Module):
     initial_load: Scalar = quantity("N", "load estimate at the start", default=0.0)
 
     suffix: ClassVar[str] = "+le"
+    estimates_load: ClassVar[bool] = True
     gains: ClassVar[dict[str, str]] = {"K_w": "gain"}
 
     def init(self) -> Scalar:

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float, PyTree
 from diffdrive.axis import Axis
 from diffdrive.controllers import PD, Cascade, Controller, FrictionCompensation, Reference
 from diffdrive.model import actuator
-from diffdrive.model.friction import lugre_coefficients
 from diffdrive.model.parameters import Drive, Scalar, as_arrays, require_double_precision
 
 WIDTHS = (4096, 65_536)  # samples; of what has more than ten times as many the next
@@ -47,13 +46,7 @@ def _controller_commands(
 
 def _initial_state(controller: Controller, position: Scalar, speed: Scalar) -> PyTree:
     """The controller's state at a speed (m/s). An observer that begins at rest would take the motion for a shock."""
-    state = controller.init(position)
-    if not isinstance(controller, FrictionCompensation):
-        return state
-    observed = state.observer
-    bristle = lugre_coefficients(controller.observer.friction, speed, speed, observed.load)
-    sliding = jnp.sign(speed) * bristle.level / bristle.stiffness
-    return state._replace(observer=observed._replace(x=(position, speed, sliding)))
+    return controller.moving(controller.init(position), position, speed)
 
 
 ControllerAndDrive = tuple[Controller, Drive]

@@ -1,5 +1,6 @@
 """The linearised loop against python-control, a drive derived by hand, and the simulation whose derivative it is."""
 
+import collections
 import dataclasses
 from functools import cache
 
@@ -13,7 +14,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.linalg import eig
 from scipy.signal import cont2discrete
 
-from diffdrive.controllers import Cascade, Feedforward, Reference
+from diffdrive.controllers import Cascade, Command, Controller, Feedforward, Reference
 from diffdrive.loop import linearise
 from diffdrive.loop.linearise import OpenLoop, OperatingPoint, open_loop
 from diffdrive.loop.simulate import Inputs, LoopState, initial_state, step
@@ -264,3 +265,31 @@ def test_directions_agree_where_the_drive_is_the_same_in_both():
     loops = there_and_back(np.array([3e-3, -3e-3]))
     there, back = (response(jax.tree.map(lambda leaf, k=k: leaf[k], loops), FREQUENCY).loop for k in (0, 1))
     np.testing.assert_allclose(there, back, rtol=1e-9)
+
+
+def pi_controller_whose_integral_is(name):
+    """The same PI law each time; only the name of its state differs."""
+    State = collections.namedtuple("State", [name])
+
+    class PI(Controller):
+        kp: float = 1e6
+        ki: float = 5e6
+
+        def init(self, position):
+            return State(jnp.zeros_like(position))
+
+        def step(self, state, reference, position, applied, period):
+            error = reference.position - position
+            integral = state[0] + self.ki * period * error
+            return State(integral), Command(self.kp * error + integral)
+
+    return as_arrays(PI())
+
+
+def test_a_state_takes_part_whatever_its_name():
+    loops = [
+        open_loop(drive_with(ONE_SAMPLE), pi_controller_whose_integral_is(name), Sampling(), OperatingPoint(0.01, 0.0))
+        for name in ("integral", "count", "load", "covariance", "known", "started")
+    ]
+    for loop in loops[1:]:
+        np.testing.assert_array_equal(loop.closed_loop, loops[0].closed_loop)
