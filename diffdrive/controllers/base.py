@@ -53,6 +53,21 @@ class Controller(eqx.Module):
         """The gains that may be tuned, by name."""
         return {}
 
+    @property
+    def can_simulate(self) -> bool:
+        """Whether its law is known, so that its command can be computed."""
+        return True
+
+    @property
+    def is_memoryless(self) -> bool:
+        """Whether its command depends on the last few samples alone: no integral, no observer that must settle."""
+        return False
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether its initial state soon leaves no more than a constant: it has no observer of friction or load."""
+        return True
+
     def table(self) -> TomlTable:
         """Its keys of [controller] in a drive file, without the kind."""
         raise ParameterError(f"no drive file can state a {type(self).__name__}: register a `Kind` of it")

@@ -54,6 +54,10 @@ class Cascade(Controller):
     def tunables(self) -> Mapping[str, Tunable]:
         return {name: Tunable(name, FEEDBACK_FACTOR) for name in ("kp", "kv", "ki")}
 
+    @property
+    def is_memoryless(self) -> bool:
+        return float(self.ki) == 0
+
     def table(self) -> TomlTable:
         options = {"feedforward": self.feedforward is not None, "velocity_samples": self.velocity_samples}
         return options | quantity_table(self)

@@ -21,6 +21,10 @@ class PD(Controller):
     def tunables(self) -> Mapping[str, Tunable]:
         return TRACKING_GAINS
 
+    @property
+    def is_memoryless(self) -> bool:
+        return True
+
     def table(self) -> TomlTable:
         return self.tracking.table()
 

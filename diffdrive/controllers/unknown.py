@@ -18,6 +18,10 @@ class UnknownController(Controller):
     def kind(self) -> str:
         return "unknown"
 
+    @property
+    def can_simulate(self) -> bool:
+        return False
+
     def table(self) -> TomlTable:
         return {}
 

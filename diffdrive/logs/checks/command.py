@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.controllers import UnknownController
 from diffdrive.logs.checks import balance, consistency, fault_texts, rivals
 from diffdrive.logs.checks.clock import WRONG_RATE, is_decimated
 from diffdrive.logs.checks.consistency import EXPLAINED, RELATED, ConsistencyResult
@@ -14,7 +13,6 @@ from diffdrive.logs.checks.explanation import WRONG_UNIT
 from diffdrive.logs.checks.finding import Finding, Severity
 from diffdrive.logs.checks.relation import ControllerRelation, controller_relation
 from diffdrive.logs.checks.repair import Repair, shift_signal
-from diffdrive.logs.checks.replay import is_memoryless
 from diffdrive.logs.checks.statistics import percent, sampling_period
 from diffdrive.logs.log import Log, Signal
 
@@ -34,8 +32,7 @@ def check_command(log: Log, axis: Axis) -> CommandCheck:
     periods = sampling_period(log) * axis.sampling.rate
     if abs(periods - 1.0) > WRONG_RATE:  # the clock says so; at another rate no controller is replayed
         return CommandCheck([*balance.check_force_balance(log, axis)] if is_decimated(periods) else [])
-    unknown = isinstance(axis.controller, UnknownController)
-    relation = None if unknown else controller_relation(log, axis)
+    relation = controller_relation(log, axis) if axis.controller.can_simulate else None
     result = None if relation is None else consistency.explain_command(relation)
     if result is None:
         return CommandCheck([*balance.check_force_balance(log, axis)])
@@ -168,6 +165,6 @@ def unexplained_command(result: ConsistencyResult, axis: Axis) -> Iterator[Findi
             f"the drive file's controller gives the logged command only to {percent(min(fit.error, 1.0))} %, whatever "
             "the shift and the scale",
             "another kind of controller, other gains, a filter, or something that is added to the command"
-            + ("" if is_memoryless(axis.controller) else "; or what it remembered: log a longer motion"),
+            + ("" if axis.controller.is_memoryless else "; or what it remembered: log a longer motion"),
             "other controller",
         )

@@ -20,7 +20,6 @@ from diffdrive.logs.checks.explanation import (
 )
 from diffdrive.logs.checks.hypotheses import Hypothesis, shift
 from diffdrive.logs.checks.relation import LONGEST, ControllerRelation, ControllerSignals
-from diffdrive.logs.checks.replay import is_linear, is_memoryless
 from diffdrive.logs.checks.statistics import RobustFit, robust_fit
 from diffdrive.logs.checks.switching import find_switched_force
 from diffdrive.logs.log import Signal
@@ -56,7 +55,7 @@ def explain_command(relation: ControllerRelation) -> ConsistencyResult | None:
         return None
     output, fit = replay
     after = replay_after = None
-    if fit.error >= EXPLAINED_AS_LOGGED and not is_memoryless(relation.axis.controller):
+    if fit.error >= EXPLAINED_AS_LOGGED and not relation.axis.controller.is_memoryless:
         after = replace(relation, after_transient=True)
         replay_after = after.replay_as_logged()
         if replay_after is not None and _is_initial_transient(fit, replay_after[1]):
@@ -107,7 +106,7 @@ def _candidate_explanations(relation: ControllerRelation) -> list[LogExplanation
     if replay is None:
         return []
     output, fit_as_logged = replay
-    has_observer = not is_linear(relation.axis.controller)
+    has_observer = not relation.axis.controller.is_linear
     explanations = interpretations(relation, hypotheses.as_logged(relation), fit_as_logged)
     for hypothesis, fit in _fit_hypotheses(relation, output, fit_as_logged):
         threshold = CLEAR_OF_TRANSIENT if has_observer and hypothesis.cause not in UNLIKE_TRANSIENT else CLEAR
@@ -196,7 +195,7 @@ def _fit_shifts(relation: ControllerRelation) -> Iterator[tuple[Hypothesis, Robu
     for pair in sorted(fits, key=fits.__getitem__)[: 4 * FINALISTS]:
         if pair != (0, 0):
             yield shift(relation, *pair), relation.fit(as_logged.signals.command, command_of_shift[pair])
-    if relation.after_transient or is_linear(relation.axis.controller):
+    if relation.after_transient or relation.axis.controller.is_linear:
         for direction in ((1, 1), (1, 0), (0, 1)):
             yield from _fit_fractional_shifts(relation, command_of_shift, direction, fits)
 
@@ -244,7 +243,7 @@ def _explanations_with_pulses(relation: ControllerRelation, best: LogExplanation
         )
         if switched is None or switched.fit.error > CLEAR * best.fit.error:
             continue
-        if switched.switch_count == 1 and not is_memoryless(relation.axis.controller):
+        if switched.switch_count == 1 and not relation.axis.controller.is_memoryless:
             continue  # the friction that held the table as the log began, until it moved
         ratio = float(switched.fit.coefficients[0])
         parameters = {"newtons": switched.amplitude / ratio, "changes": switched.switch_count, "share": switched.duty}

@@ -20,7 +20,6 @@ from diffdrive.logs.checks.dynamics import CHANGED_STD, DynamicsFit
 from diffdrive.logs.checks.hypotheses import Hypothesis
 from diffdrive.logs.checks.relation import ControllerRelation, ControllerSignals
 from diffdrive.logs.checks.repair import AddToChannel, RepairStep, ScaleChannel
-from diffdrive.logs.checks.replay import is_linear, is_memoryless
 from diffdrive.logs.checks.statistics import RobustFit
 
 FAULT_COST = float(np.log(100.0))
@@ -173,7 +172,7 @@ def _factor_interpretations(
     ]
     if ratio > 0:
         alternatives.append(((ChannelFault("other controller", "command", {"ratio": ratio}),), unchanged))
-        if is_linear(relation.axis.controller):
+        if relation.axis.controller.is_linear:
             scaling = (ScaleChannel("position", ratio), ScaleChannel("reference", ratio))
             alternatives.append(
                 (
@@ -188,7 +187,7 @@ def _factor_interpretations(
 
 def ratio_tolerance(relation: ControllerRelation, fit: RobustFit) -> float:
     """By how much the factor may be off 1 by chance."""
-    if not is_memoryless(relation.axis.controller):
+    if not relation.axis.controller.is_memoryless:
         return max(OFF, INITIAL_LOAD * fit.error)
     return max(OFF, 3 * fit.error / float(np.sqrt(max(1.0, len(fit.residual) / SAMPLES_PER_INDEPENDENT))))
 
@@ -196,7 +195,7 @@ def ratio_tolerance(relation: ControllerRelation, fit: RobustFit) -> float:
 def _has_constant(relation: ControllerRelation, signals: ControllerSignals, fit: RobustFit) -> bool:
     """Whether the command has a constant beside the controller's; one with states may have begun with it."""
     threshold = max(0.02, 3 * fit.error) * float(np.std(signals.command))
-    return is_memoryless(relation.axis.controller) and abs(float(fit.coefficients[-1])) > threshold
+    return relation.axis.controller.is_memoryless and abs(float(fit.coefficients[-1])) > threshold
 
 
 def _constant_interpretations(

@@ -12,13 +12,12 @@ import equinox as eqx
 import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
-from diffdrive.controllers import Cascade, Controller, UnknownController
+from diffdrive.controllers import Cascade, Controller
 from diffdrive.logs.checks.dynamics import NOMINAL_STD
 from diffdrive.logs.checks.factors import FACTORS
 from diffdrive.logs.checks.grid import COARSER, coarse_step, fit_count_grid
 from diffdrive.logs.checks.relation import ControllerRelation, ControllerSignals
 from diffdrive.logs.checks.repair import RepairStep, ScaleChannel, ShiftChannel, SwapChannels, shift_signal
-from diffdrive.logs.checks.replay import is_linear, is_memoryless
 from diffdrive.logs.checks.statistics import RobustFit, window_length
 from diffdrive.logs.log import Signal
 
@@ -109,7 +108,7 @@ def swapped(relation: ControllerRelation) -> Iterator[Hypothesis]:
 def position_and_reference(relation: ControllerRelation, ratio: float) -> Iterator[Hypothesis]:
     """One of the two has a wrong unit or sign: `ratio` is that of position to reference, as far as the loop follows."""
     logged = relation.logged
-    ratio = _exact_ratio(relation, ratio) if is_linear(relation.axis.controller) else ratio
+    ratio = _exact_ratio(relation, ratio) if relation.axis.controller.is_linear else ratio
     cause = "reversed" if abs(ratio + 1) < 0.5 else "gain"
     for channel, factor in (("position", 1 / ratio), ("reference", ratio)):
         factor = float(np.sign(factor)) if cause == "reversed" else factor
@@ -250,7 +249,7 @@ def is_on_grid(signal: Signal, step: float) -> bool:
 def lengths(relation: ControllerRelation) -> Iterator[Hypothesis]:
     """Position and reference have one wrong unit, where the controller is not linear: then no factor says so."""
     # an observer fed by the log follows any lengths
-    if is_linear(relation.axis.controller) or relation.after_transient:
+    if relation.axis.controller.is_linear or relation.after_transient:
         return
     logged = relation.logged
     for unit_factor in FACTORS:
@@ -263,7 +262,7 @@ def lengths(relation: ControllerRelation) -> Iterator[Hypothesis]:
 def offset(relation: ControllerRelation, output: Signal) -> Iterator[Hypothesis]:
     """The reference has another zero, which a controller with an integral turns into a ramp of its command."""
     controller = relation.axis.controller
-    if is_memoryless(controller) or not is_linear(controller):
+    if controller.is_memoryless or not controller.is_linear:
         return
     logged, displacement = relation.logged, 1e-6
     displaced = relation.controller_commands([logged._replace(reference=logged.reference + displacement)])[0]
@@ -284,7 +283,7 @@ GAINS = ("kp", "kd", "kv", "ki")
 def other_gains(relation: ControllerRelation, output: Signal) -> Iterator[Hypothesis]:
     """The same controller with other gains: its command is linear in each of the parts that they make."""
     controller = relation.axis.controller
-    if isinstance(controller, UnknownController):
+    if not controller.can_simulate:
         return
     names = [name for name in GAINS if float(getattr(_gains(controller), name, 0.0) or 0.0) != 0.0]
     parts = [output - _output_without(relation, (name,)) for name in names]
@@ -316,7 +315,7 @@ def slower_velocity(relation: ControllerRelation, output: Signal) -> Iterator[Hy
     """A cascade with an integral forms its velocity over more samples, which is that of an averaged position."""
     axis = relation.axis
     cascade = axis.controller
-    if not isinstance(cascade, Cascade) or is_memoryless(cascade):
+    if not isinstance(cascade, Cascade) or cascade.is_memoryless:
         return
     logged = relation.logged
     inner_loop = replace(relation, axis=replace(axis, controller=replace(cascade, velocity_samples=1, kp=0.0)))
@@ -334,7 +333,7 @@ def slower_velocity(relation: ControllerRelation, output: Signal) -> Iterator[Hy
 
 def filtered_velocity(relation: ControllerRelation, output: Signal) -> Iterator[Hypothesis]:
     """The controller forms its velocity over several samples: the command is a combination of the last errors."""
-    if not is_memoryless(relation.axis.controller):
+    if not relation.axis.controller.is_memoryless:
         return
     logged = relation.logged
     error = logged.reference - logged.position

@@ -22,8 +22,6 @@ from diffdrive.logs.checks.replay import (
     ControllerAndDrive,
     controller_arrays,
     controller_commands,
-    is_linear,
-    is_memoryless,
 )
 from diffdrive.logs.checks.statistics import RobustFit, longest_piece, robust_fit, sampling_period
 from diffdrive.logs.checks.stuck import clipped_samples
@@ -77,7 +75,7 @@ class ControllerRelation:
 
         The controller runs at its own rate: signals at a slower one are interpolated between their samples.
         """
-        feeds_logged_command = self.after_transient and not is_linear(self.axis.controller)
+        feeds_logged_command = self.after_transient and not self.axis.controller.is_linear
         upsampling = max(1, round(cases[0].period * self.axis.sampling.rate))
         speed = speed_at(self.log, self.piece.start) / upsampling
         commands: list[Signal] = []
@@ -145,7 +143,7 @@ def controller_relation(log: Log, axis: Axis) -> ControllerRelation | None:
     """The relation over the log's most varied stretch; None without a reference, at another rate, or if too short."""
     piece, period = longest_piece(log), sampling_period(log)
     count = piece.stop - piece.start
-    memoryless = is_memoryless(axis.controller)
+    memoryless = axis.controller.is_memoryless
     if log.reference is None or count < 20 * SETTLE or (not memoryless and count * period < SHORTEST):
         return None
     return ControllerRelation(axis, log, piece)

@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float, PyTree
 
 from diffdrive.axis import Axis
-from diffdrive.controllers import PD, Cascade, Controller, FrictionCompensation, Reference
+from diffdrive.controllers import Controller, Reference
 from diffdrive.model import actuator
 from diffdrive.model.parameters import Drive, Scalar, as_arrays, require_double_precision
 
@@ -92,13 +92,3 @@ def controller_commands(
 
 def _array(values: np.ndarray | float) -> Array:
     return jnp.asarray(values, dtype=jnp.float64)
-
-
-def is_memoryless(controller: Controller) -> bool:
-    """Whether its output depends on the last samples alone: it has no integral and no observer that must settle."""
-    return isinstance(controller, PD) or (isinstance(controller, Cascade) and float(controller.ki) == 0)
-
-
-def is_linear(controller: Controller) -> bool:
-    """Whether its initial state soon leaves no more than a constant: it has no observer of friction or load."""
-    return not isinstance(controller, FrictionCompensation)
