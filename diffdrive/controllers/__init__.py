@@ -1,6 +1,15 @@
 """The controllers: one per file, one interface."""
 
-from diffdrive.controllers.base import Command, Controller, Feedforward, PDGains, Reference, Tracking
+from diffdrive.controllers.base import (
+    Command,
+    CommandPart,
+    Controller,
+    Feedforward,
+    PDGains,
+    Reference,
+    Tracking,
+    Tunable,
+)
 from diffdrive.controllers.cascade import Cascade
 from diffdrive.controllers.catalogue import KINDS, register
 from diffdrive.controllers.disturbance_observer import DisturbanceObserver
@@ -17,6 +26,7 @@ __all__ = [
     "PD",
     "Cascade",
     "Command",
+    "CommandPart",
     "Controller",
     "DisturbanceObserver",
     "Feedforward",
@@ -28,6 +38,7 @@ __all__ = [
     "PDGains",
     "Reference",
     "Tracking",
+    "Tunable",
     "UnknownController",
     "register",
 ]

@@ -30,10 +30,21 @@ class Command(NamedTuple):
 
 
 class Tunable(NamedTuple):
-    """A gain that may be tuned: its dotted path in the controller, and the factor by which a search may move it."""
+    """A gain that may be tuned: its dotted path in the controller, and the factor by which a search may move it.
+
+    `is_linear` says that the command is linear in it, the other gains being what they are.
+    """
 
     path: str
     factor: float
+    is_linear: bool = False
+
+
+class CommandPart(NamedTuple):
+    """What a gain contributes to the command: what is lost where it is zero, the gains in `without` being zero, too."""
+
+    gain: str
+    without: tuple[str, ...] = ()
 
 
 # margins limit the feedback gains long before these factors do; noise covariances are known to no better than 1e3
@@ -67,6 +78,11 @@ class Controller(eqx.Module):
     def is_linear(self) -> bool:
         """Whether its initial state soon leaves no more than a constant: it has no observer of friction or load."""
         return True
+
+    @property
+    def command_parts(self) -> tuple[CommandPart, ...]:
+        """The parts of its command that other gains scale; by default one for each gain that it is linear in."""
+        return tuple(CommandPart(name) for name, tunable in self.tunables.items() if tunable.is_linear)
 
     def table(self) -> TomlTable:
         """Its keys of [controller] in a drive file, without the kind."""
@@ -188,8 +204,8 @@ class Tracking(eqx.Module):
 
 
 TRACKING_GAINS = {
-    "kp": Tunable("tracking.gains.kp", FEEDBACK_FACTOR),
-    "kd": Tunable("tracking.gains.kd", FEEDBACK_FACTOR),
+    "kp": Tunable("tracking.gains.kp", FEEDBACK_FACTOR, is_linear=True),
+    "kd": Tunable("tracking.gains.kd", FEEDBACK_FACTOR, is_linear=True),
 }
 
 

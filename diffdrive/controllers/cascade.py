@@ -9,7 +9,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PyTree
 
-from diffdrive.controllers.base import FEEDBACK_FACTOR, Command, Controller, Feedforward, Reference, Tunable
+from diffdrive.controllers.base import (
+    FEEDBACK_FACTOR,
+    Command,
+    CommandPart,
+    Controller,
+    Feedforward,
+    Reference,
+    Tunable,
+)
 from diffdrive.controllers.kinds import FEEDFORWARD, Keys, Kind, Option, Section, read_feedforward
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive, Scalar, quantity, quantity_table
@@ -52,11 +60,18 @@ class Cascade(Controller):
 
     @property
     def tunables(self) -> Mapping[str, Tunable]:
-        return {name: Tunable(name, FEEDBACK_FACTOR) for name in ("kp", "kv", "ki")}
+        return {name: Tunable(name, FEEDBACK_FACTOR, is_linear=True) for name in ("kp", "kv", "ki")}
 
     @property
     def is_memoryless(self) -> bool:
         return float(self.ki) == 0
+
+    @property
+    def command_parts(self) -> tuple[CommandPart, ...]:
+        if self.is_memoryless:
+            return CommandPart("kp"), CommandPart("kv")
+        # the gains of both loops are multiplied with one another
+        return CommandPart("kp"), CommandPart("ki"), CommandPart("kv", without=("kp", "ki"))
 
     def table(self) -> TomlTable:
         options = {"feedforward": self.feedforward is not None, "velocity_samples": self.velocity_samples}

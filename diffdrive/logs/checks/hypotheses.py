@@ -8,11 +8,10 @@ agree again.
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
-import equinox as eqx
 import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
-from diffdrive.controllers import Cascade, Controller
+from diffdrive.controllers import Cascade
 from diffdrive.logs.checks.dynamics import NOMINAL_STD
 from diffdrive.logs.checks.factors import FACTORS
 from diffdrive.logs.checks.grid import COARSER, coarse_step, fit_count_grid
@@ -277,37 +276,25 @@ def rectified(relation: ControllerRelation, output: Signal) -> Iterator[Hypothes
         yield Hypothesis("rectified", "command", repaired, (), {}, (output,))
 
 
-GAINS = ("kp", "kd", "kv", "ki")
-
-
 def other_gains(relation: ControllerRelation, output: Signal) -> Iterator[Hypothesis]:
     """The same controller with other gains: its command is linear in each of the parts that they make."""
-    controller = relation.axis.controller
-    if not controller.can_simulate:
+    gains = relation.axis.gains
+    parts = [
+        (_output_without(relation, part.without) if part.without else output)
+        - _output_without(relation, (*part.without, part.gain))
+        for part in relation.axis.controller.command_parts
+        if float(gains[part.gain] or 0.0) != 0.0
+    ]
+    if not parts:
         return
-    names = [name for name in GAINS if float(getattr(_gains(controller), name, 0.0) or 0.0) != 0.0]
-    parts = [output - _output_without(relation, (name,)) for name in names]
-    if len(names) == 3:  # the products of a cascade with an integral
-        parts = [parts[0], output - _output_without(relation, ("ki",)), _output_without(relation, ("kp", "ki"))]
     rest = output - sum(parts)
     regressors = [part for part in [*parts, rest] if np.std(part) > 1e-9 * np.std(output)]
     yield Hypothesis("other controller", "command", relation.logged, (), {}, tuple(regressors), len(parts))
 
 
-def _gains(controller: Controller) -> eqx.Module:
-    """What holds the feedback gains of a known controller."""
-    return controller if isinstance(controller, Cascade) else controller.tracking.gains  # type: ignore[attr-defined]
-
-
 def _output_without(relation: ControllerRelation, gains: tuple[str, ...]) -> Signal:
     """The controller's command with some of its gains at zero."""
-    axis = relation.axis
-
-    def gains_of(controller: Controller) -> list[object]:
-        return [getattr(_gains(controller), name) for name in gains]
-
-    controller = eqx.tree_at(gains_of, axis.controller, [0.0] * len(gains))
-    modified = replace(relation, axis=replace(axis, controller=controller))
+    modified = replace(relation, axis=relation.axis.with_gains(**dict.fromkeys(gains, 0.0)))
     return modified.controller_commands([relation.logged])[0]
 
 
