@@ -46,6 +46,7 @@ def simulate(
         ParameterError: A parameter is out of its range, or the rates differ.
         MotionError: The motion leaves the axis's limits, or the load is not possible.
         DivergenceError: The loop diverged, with `throw`.
+        ResultError: The force limit holds back most of the commands, with `throw`.
 
     Examples:
         >>> run = simulate(axis, motion.sine(amplitude=1e-3, frequency=10.0, duration=0.5, rate=axis.rate), load=8e3)

@@ -100,10 +100,10 @@ class Run(Result):
         return Log(name, time=time, position=position, command=command, reference=reference, load=load)
 
     def require_ok(self) -> "Run":
-        """The run itself, or a `DivergenceError` with its status."""
-        if not self.status.ok:
+        """The run itself; raises `DivergenceError` where the loop diverged, `ResultError` where else it is not ok."""
+        if self.status.code == "diverged":
             raise DivergenceError(self.status.message)
-        return self
+        return super().require_ok()
 
 
 def divergence_bound(reference: np.ndarray, limits: Limits) -> float:

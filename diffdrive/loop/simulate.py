@@ -375,7 +375,7 @@ def simulate(
 
     run, limit = run_machine(drive)
     assessed = with_status(run, limits, limit)
-    if assessed.status.ok or assessed.status.message.startswith("saturated") or not drive.effects:
+    if assessed.status.ok or assessed.status.code == "saturated" or not drive.effects:
         return assessed
     # the gains are the cause only if the loop diverges without the effects, too
     single = [[effect] for effect in drive.effects]

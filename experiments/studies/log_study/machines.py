@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.controllers import PD, Cascade, Controller, Reference
-from diffdrive.errors import DivergenceError
+from diffdrive.errors import ResultError
 from diffdrive.logs.log import Log
 from diffdrive.model.parameters import Drive, as_arrays
 from diffdrive.motion.motion import Motion
@@ -27,7 +27,7 @@ def differs(log: Log, other_log: Log) -> bool:
 def _machine_fault(case: LogCase, machine: Drive, amount: str) -> LogFault | None:
     try:
         log = simulate_log(case.drive, machine, case.motion, case.seed)
-    except DivergenceError:
+    except ResultError:
         return None
     return LogFault(log, log, amount, ("other machine",)) if differs(case.log, log) else None
 
@@ -49,7 +49,7 @@ def _controller_fault(case: LogCase, controller: Controller, amount: str) -> Log
     """A log of another controller's loop; None where the drive file's would have commanded the same in it."""
     try:
         log = simulate_log(case.drive, case.machine, case.motion, case.seed, controller)
-    except DivergenceError:
+    except ResultError:
         return None
     motion = case.motion
     reference = Reference(*(jnp.asarray(signal) for signal in (motion.position, motion.velocity, motion.acceleration)))
@@ -132,6 +132,6 @@ def log_of_altered_machine(
     try:
         same = simulate_log(case.drive, case.machine, motion, seed)
         other = simulate_log(case.drive, machine, motion, seed)
-    except DivergenceError:
+    except ResultError:
         return None
     return (other, f"{'mass' if mass else 'friction'} x {factor:.3g}") if differs(same, other) else None

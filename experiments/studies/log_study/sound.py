@@ -124,7 +124,7 @@ def scaled_drive(drive: Drive, mass: float, friction: npt.ArrayLike) -> Drive:
 def simulate_log(
     drive: StudyDrive, machine: Drive, reference: Motion, seed: int, controller: Controller | None = None
 ) -> Log:
-    """The log of this machine on a motion; raises `DivergenceError` if its loop is unstable."""
+    """The log of this machine on a motion; raises `ResultError` if its loop is unstable or saturates."""
     if controller is None:
         controller = drive.with_feedback({}).controller
     rest_samples = round(drive.settling_time * drive.rate)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.errors import DivergenceError, ParameterError
+from diffdrive.errors import ParameterError, ResultError
 from diffdrive.logs.checks.examine import Finding
 from diffdrive.logs.log import Log
 from diffdrive.support.resources import format_count, require_memory
@@ -229,7 +229,7 @@ def _pair(
             if what == "same":
                 return case, replace(simulate_log(axis, case.machine, reference, case.seed + 1), name=name), "none"
             other = log_of_altered_machine(case, reference, rng, mass=what == "mass")
-        except DivergenceError:
+        except ResultError:
             continue
         if other is not None:
             return case, replace(other[0], name=name), other[1]
