@@ -6,11 +6,12 @@ A step begins where a controller's interrupt routine begins, with the measuremen
 the measurement at k and on the force applied up to k, so there is no algebraic loop.
 """
 
+import operator
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple, TypeVar, cast
+from typing import NamedTuple, SupportsIndex, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -313,6 +314,15 @@ def loop_inputs(motion: Motion, load: np.ndarray, disturbance: np.ndarray | None
     return Inputs(Reference(*arrays[:3]), *arrays[3:])
 
 
+def _whole_number(value: object) -> int | None:
+    """The number where it is whole, be it NumPy's; None where it is not. A truth value is no number."""
+    is_whole = isinstance(value, SupportsIndex) and not isinstance(value, bool | np.bool_)
+    try:
+        return operator.index(cast(SupportsIndex, value)) if is_whole else None
+    except TypeError:  # an array
+        return None
+
+
 def simulate(
     drive: Drive,
     controller: Controller,
@@ -338,7 +348,8 @@ def simulate(
         raise ParameterError(
             f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {sampling.rate:g} Hz: make them equal"
         )
-    if not isinstance(every, int) or not 1 <= every < len(motion.time):
+    stride = _whole_number(every)
+    if stride is None or not 1 <= stride < len(motion.time):
         raise ParameterError(f"every must be a whole number from 1 to {len(motion.time) - 1}, got {short_repr(every)}")
     if isinstance(load, str):
         raise MotionError(f"load must be in N, one number or one per sample, got {short_repr(load)}")
@@ -346,7 +357,7 @@ def simulate(
     require_memory(
         ParameterError,
         f"a run of {len(motion.time)} samples",
-        DOUBLE_BYTES * len(motion.time) * (INPUT_ARRAYS + OUTPUT_ARRAYS / every),
+        DOUBLE_BYTES * len(motion.time) * (INPUT_ARRAYS + OUTPUT_ARRAYS / stride),
         "shorten the motion, lower sampling.rate, or keep each n-th sample (`every`)",
     )
     loads = validated_load(drive, np.full(len(motion.time), float(load)) if np.ndim(load) == 0 else load, motion.time)
@@ -356,14 +367,15 @@ def simulate(
     )
     for problem in convergence_warnings(controller, motion, loads, sampling.period):
         warnings.warn(problem, LoadEstimatorWarning, stacklevel=2)
-    if seed is not None and (not isinstance(seed, int) or not -(2**63) <= seed < 2**63):
+    number = None if seed is None else _whole_number(seed)
+    if seed is not None and (number is None or not -(2**63) <= number < 2**63):
         raise ParameterError(f"seed must be a whole number of 64 bits, or None for no noise, got {short_repr(seed)}")
-    key = jax.random.key(seed) if seed is not None and float(drive.sensor.noise) > 0 else None
+    key = jax.random.key(number) if number is not None and float(drive.sensor.noise) > 0 else None
 
     def run_machine(machine: Drive) -> tuple[Run, float | None]:
-        frames = compiled_rollout(*as_arrays((machine, controller)), loop_inputs(motion, loads), sampling, key, every)
+        frames = compiled_rollout(*as_arrays((machine, controller)), loop_inputs(motion, loads), sampling, key, stride)
         limit = stages.force_limit(machine)
-        return Run.from_frames(motion, loads, frames, every), None if limit is None else float(limit)
+        return Run.from_frames(motion, loads, frames, stride), None if limit is None else float(limit)
 
     def converges_without(effects: Sequence[Effect]) -> bool:
         machine = replace(

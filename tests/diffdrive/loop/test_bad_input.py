@@ -24,9 +24,9 @@ from diffdrive.controllers import (
 )
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.transmission import Backlash, Compliance
-from diffdrive.errors import DivergenceError, MotionError, ParameterError, PrecisionError
+from diffdrive.errors import DivergenceError, MotionError, ParameterError, PrecisionError, ResultError
 from diffdrive.loop.simulate import simulate
-from diffdrive.model.parameters import Actuator, Sampling, directional
+from diffdrive.model.parameters import Actuator, Sampling, Sensor, directional
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion.motion import Limits
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, LoadStateTuning
@@ -190,6 +190,10 @@ REQUESTS = {
     "every 0": ({"every": 0}, ParameterError, rf"every must be a whole number from 1 to {N - 1}, got 0"),
     "every negative": ({"every": -5}, ParameterError, "every must be a whole number"),
     "every fractional": ({"every": 2.5}, ParameterError, "every must be a whole number"),
+    "every true": ({"every": True}, ParameterError, "every must be a whole number"),
+    "seed true": ({"seed": True}, ParameterError, "seed must be a whole number of 64 bits"),
+    "seed fractional": ({"seed": 1.5}, ParameterError, "seed must be a whole number of 64 bits"),
+    "seeds": ({"seed": np.arange(3)}, ParameterError, "seed must be a whole number of 64 bits"),
     "every too large": ({"every": N}, ParameterError, "every must be a whole number"),
 }
 
@@ -198,6 +202,15 @@ REQUESTS = {
 def test_a_bad_request_is_refused(arguments, error, says):
     with pytest.raises(error, match=says):
         simulate(DRIVE, pd(), **({"motion": MOVE} | arguments))
+
+
+def test_whole_numbers_of_numpy_are_whole_numbers():
+    noisy = having(lambda d: d.sensor, Sensor(noise=1e-8))
+    run, same = (
+        simulate(noisy, pd(), MOVE, seed=3, every=2),
+        simulate(noisy, pd(), MOVE, seed=np.int64(3), every=np.int8(2)),
+    )
+    np.testing.assert_array_equal(same.position, run.position)
 
 
 @pytest.mark.parametrize(
@@ -283,6 +296,9 @@ def test_an_axis_too_weak_for_its_friction_stands_still_within_its_limit():
     assert run.peak() == pytest.approx(2e-3, rel=1e-3)
     assert not run.status.ok
     assert "saturated: the command exceeds the force limit of 10 N" in run.status.message
+    with pytest.raises(ResultError, match="saturated") as caught:
+        run.require_ok()
+    assert not isinstance(caught.value, DivergenceError)  # it did not diverge
 
 
 def test_an_axis_too_weak_for_its_weight_is_said_to_be_so():
