@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -95,6 +95,10 @@ class Controller(eqx.Module):
     @abc.abstractmethod
     def init(self, position: Scalar) -> PyTree:
         """State at rest, the table measured at `position` (m)."""
+
+    def smoothed(self) -> Self:
+        """The smooth variant, for gradients: nothing that rounds or switches (`loop.smooth`). By default itself."""
+        return self
 
     def moving(
         self,

@@ -9,7 +9,7 @@ effects in its loop; the diagnosis steps the same code along a measured trajecto
 
 import abc
 import enum
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 import equinox as eqx
 from jaxtyping import Array, Float, PyTree
@@ -91,6 +91,10 @@ class Effect(eqx.Module):
         `envelope`.
         """
         return None
+
+    def smoothed(self) -> Self:
+        """The smooth variant, for gradients: nothing that rounds or switches (`loop.smooth`). By default itself."""
+        return self
 
 
 class MachineEffect(Effect):

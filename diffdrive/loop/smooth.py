@@ -5,43 +5,31 @@ the gains with steps and kinks at every scale, and has no useful derivative. The
 replaces these three by differentiable approximations. Tune on it, verify on the exact one.
 """
 
-import dataclasses
-from typing import TypeVar
+from typing import Protocol, TypeVar, cast, runtime_checkable
 
-import equinox as eqx
 import jax
-
-from diffdrive.model.parameters import Actuator, Sensor
-from diffdrive.observers.friction_observer import LoadStateObserver
-from diffdrive.observers.load_estimator import InnovationLoad
+from jax.tree_util import all_leaves
 
 Part = TypeVar("Part")
 
-LIMIT_ROUNDING = 0.01  # of the force limit
-GATE_ROUNDING = 0.1  # of the estimator's minimum speed
+
+@runtime_checkable
+class _Smoothable(Protocol):
+    """What has a smooth variant: sensor, actuator, effects, controllers, and any part of them."""
+
+    def smoothed(self) -> object:
+        """The smooth variant; its own parts are smooth already."""
 
 
 def smooth(part: Part) -> Part:
-    """The same drive, controller or tree of them, differentiable throughout.
+    """The same drive, controller or tree of them, each part by its own `smoothed`, the innermost first.
 
-    No quantiser; force limits with corners rounded over 1 % of the limit; eq. (20)'s speed gate opened over 10 % of its
-    threshold; no floor under load estimates. Noise stays: for a given seed it is a fixed sequence.
+    Of ours: no quantiser; the actuator's force limit with corners rounded over 1 % of the limit; eq. (20)'s speed gate
+    opened over 10 % of its threshold; no floor under load estimates. The effect `ForceLimit` stays a clip, which has
+    the right derivative but at its corners. Noise stays: for a given seed it is a fixed sequence.
     """
-
-    def smoothed(module: object) -> object:
-        if isinstance(module, Sensor):
-            return Sensor(resolution=None, noise=module.noise)
-        if isinstance(module, Actuator):
-            if module.force_limit is None:
-                return module
-            rounded = LIMIT_ROUNDING * module.force_limit
-            return dataclasses.replace(module, limit_rounding=rounded)
-        if isinstance(module, InnovationLoad):
-            rounding = GATE_ROUNDING * module.min_speed + 1e-9  # m/s, so that it is a width also without a gate
-            return InnovationLoad(module.gain, module.min_speed, None, rounding, module.initial_load)
-        if isinstance(module, LoadStateObserver):
-            return eqx.tree_at(lambda m: m.floor, module, None, is_leaf=lambda leaf: leaf is None)
-        return module
-
-    replaced = (Sensor, Actuator, InnovationLoad, LoadStateObserver)
-    return jax.tree.map(smoothed, part, is_leaf=lambda node: isinstance(node, replaced))
+    if all_leaves([part]):
+        return part
+    children, tree = jax.tree.flatten(part, is_leaf=lambda node: node is not part)
+    whole = jax.tree.unflatten(tree, [smooth(child) for child in children])
+    return cast(Part, whole.smoothed() if isinstance(whole, _Smoothable) else whole)

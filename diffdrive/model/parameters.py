@@ -23,6 +23,7 @@ from diffdrive.support.units import in_unit
 LONGEST_SUBSTEP, SUBSTEP_ERROR = 20e-6, 1e-10  # s, and the position error of the plant's integrator there, m
 # s: the integrator is of second order, and here its error is the rounding of a position of a metre
 FINEST_SUBSTEP = LONGEST_SUBSTEP * float(np.sqrt(np.finfo(float).eps / SUBSTEP_ERROR))
+LIMIT_ROUNDING = 0.01  # of the force limit, in the smooth variant
 ROUNDING = 1e-6  # largest rounding error of a smoothed limit, as a share of its width
 Scalar = Float[Array, ""] | float | int  # a check at run time does not take an int for a float
 Tree = TypeVar("Tree")
@@ -179,6 +180,12 @@ class Actuator(eqx.Module):
         """Delay lines: the name of each, and its length in samples."""
         return (("actuator.delay_samples", self.delay_samples),)
 
+    def smoothed(self) -> "Actuator":
+        """The smooth variant: the corners of the limit rounded."""
+        if self.force_limit is None:
+            return self
+        return dataclasses.replace(self, limit_rounding=LIMIT_ROUNDING * self.force_limit)
+
 
 class Sensor(eqx.Module):
     """Linear scale at the table: white noise, then quantisation."""
@@ -189,6 +196,10 @@ class Sensor(eqx.Module):
     noise: Scalar = quantity(
         "m", "standard deviation of the white noise before the quantiser", at_least=0.0, default=0.0
     )
+
+    def smoothed(self) -> "Sensor":
+        """The smooth variant: no quantiser."""
+        return Sensor(resolution=None, noise=self.noise)
 
 
 class Drive(eqx.Module):

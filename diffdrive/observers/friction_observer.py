@@ -5,6 +5,7 @@ returns its estimates: friction to cancel, load, velocity.
 """
 
 import abc
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -230,6 +231,10 @@ class LoadStateObserver(FrictionObserver):
     @property
     def gains(self) -> dict[str, str]:
         return NOISE_GAINS | {"Q_load": "tuning.load"}
+
+    def smoothed(self) -> "LoadStateObserver":
+        """The smooth variant: no floor."""
+        return dataclasses.replace(self, floor=None)
 
     def init(self, position: Scalar) -> ObserverState:
         zero = jnp.zeros_like(position)

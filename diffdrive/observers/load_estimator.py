@@ -1,5 +1,6 @@
 """Load estimators that sit on the paper's three-state observer."""
 
+import dataclasses
 from typing import ClassVar
 
 import equinox as eqx
@@ -7,6 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from diffdrive.model.parameters import Scalar, quantity
+
+GATE_ROUNDING = 0.1  # of the minimum speed, in the smooth variant
 
 
 class FixedLoad(eqx.Module):
@@ -46,6 +49,11 @@ class InnovationLoad(eqx.Module):
     suffix: ClassVar[str] = "+le"
     estimates_load: ClassVar[bool] = True
     gains: ClassVar[dict[str, str]] = {"K_w": "gain"}
+
+    def smoothed(self) -> "InnovationLoad":
+        """The smooth variant: the speed gate opens over a width, and there is no floor."""
+        rounding = GATE_ROUNDING * self.min_speed + 1e-9  # m/s, so that it is a width also without a gate
+        return dataclasses.replace(self, floor=None, rounding=rounding)
 
     def init(self) -> Scalar:
         return self.initial_load

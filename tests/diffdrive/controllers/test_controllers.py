@@ -15,6 +15,7 @@ from diffdrive.controllers import (
     DOBVSC,
     PD,
     Cascade,
+    Controller,
     DisturbanceObserver,
     Feedforward,
     FrictionCompensation,
@@ -23,6 +24,7 @@ from diffdrive.controllers import (
     Tracking,
 )
 from diffdrive.controllers.base import paper_tracking
+from diffdrive.effects import ForceLimit, ScaleEffect
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import loop_inputs, rollout, simulate
 from diffdrive.loop.smooth import smooth
@@ -302,6 +304,41 @@ def test_smooth_changes_quantiser_limit_gate_and_floor_and_nothing_else():
     assert estimator.rounding > 0
     assert smooth(LOAD_STATE).observer.floor is None
     assert smooth(LOAD_STATE).observer.tuning == LOAD_STATE.observer.tuning
+
+
+class Rounded(ScaleEffect):
+    """A reading in whole steps, which are gone where it is smooth."""
+
+    name = "rounded"
+    resolution: float | None = 1e-6
+
+    def error(self, position):
+        return 0.0 * position if self.resolution is None else self.resolution * jnp.round(position / self.resolution)
+
+    def smoothed(self):
+        return Rounded(None)
+
+
+class Switched(Controller):
+    """A controller that switches, around another."""
+
+    inner: Controller
+    width: float = 0.0
+
+    def init(self, position):
+        return self.inner.init(position)
+
+    def step(self, state, *inputs):
+        return self.inner.step(state, *inputs)
+
+    def smoothed(self):
+        return dataclasses.replace(self, width=0.1)
+
+
+def test_what_somebody_else_wrote_is_smoothed_by_its_own_method():
+    effects = smooth(dataclasses.replace(IDEAL, effects=(ForceLimit(50.0), Rounded()))).effects
+    assert effects == (ForceLimit(50.0), Rounded(None))
+    assert smooth(Switched(LOAD_ESTIMATOR)) == Switched(smooth(LOAD_ESTIMATOR), 0.1)
 
 
 def test_smooth_needs_no_speed_gate():
