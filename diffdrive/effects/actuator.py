@@ -22,6 +22,10 @@ class ForceGain(ActuatorEffect):
         """No state."""
         return ()
 
+    def input_limit(self, output_limit: Scalar | None) -> Scalar | None:
+        """The limit before the gain."""
+        return None if output_limit is None else output_limit / jnp.abs(1.0 + self.gain)
+
     def step(self, state: PyTree, force: Scalar, period: float) -> tuple[PyTree, Push]:
         """The force scaled."""
         return state, Push((1.0 + self.gain) * force)
@@ -37,6 +41,10 @@ class ForceLimit(ActuatorEffect):
     def init(self, force: Scalar) -> PyTree:
         """No state."""
         return ()
+
+    def input_limit(self, output_limit: Scalar | None) -> Scalar | None:
+        """Its own limit, or one behind it that is smaller."""
+        return self.limit if output_limit is None else jnp.minimum(self.limit, output_limit)
 
     def step(self, state: PyTree, force: Scalar, period: float) -> tuple[PyTree, Push]:
         """The force clipped."""

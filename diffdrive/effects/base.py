@@ -127,6 +127,10 @@ class ActuatorEffect(Effect):
     def init(self, force: Scalar) -> PyTree:
         """State after a long time at `force` (N)."""
 
+    def input_limit(self, output_limit: Scalar | None) -> Scalar | None:
+        """The largest request (N) that is not clipped, its output being clipped at `output_limit`; None: no limit."""
+        return output_limit
+
     @abc.abstractmethod
     def step(self, state: PyTree, force: Scalar, period: float) -> tuple[PyTree, Push]:
         """The force over the coming period, of length `period` (s), when `force` (N) is requested."""

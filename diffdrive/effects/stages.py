@@ -1,12 +1,10 @@
 """The stages of the control step at which a drive's effects act."""
 
 import dataclasses
-import functools
 
 import jax.numpy as jnp
 from jaxtyping import PyTree
 
-from diffdrive.effects.actuator import ForceGain, ForceLimit
 from diffdrive.effects.base import (
     Acts,
     ActuatorEffect,
@@ -48,26 +46,25 @@ def actuator_output(
 ) -> tuple[tuple[PyTree, ...], Push]:
     """The states and the force of the actuator over a `period` (s) in which `force` (N) is requested."""
     next_states, push = list(states), Push(force)
-    chain = [(effect.stage, k, effect) for k, effect in enumerate(effects) if isinstance(effect, ActuatorEffect)]
-    for _, k, effect in sorted(chain, key=lambda entry: entry[:2]):
+    for k, effect in _actuator_chain(effects):
         next_states[k], output = effect.step(states[k], push.mean, period)
         push = Push(output.mean, push.slope + output.slope)
     return tuple(next_states), push
 
 
-def force_limit(drive: Drive) -> Scalar | None:
-    """The largest command that is not limited (N): the smaller of the drive's and the effects' limits; None without.
+def _actuator_chain(effects: Effects) -> list[tuple[int, ActuatorEffect]]:
+    """The effects between command and force in the order of the signal, each with its place among all."""
+    chain = [(k, effect) for k, effect in enumerate(effects) if isinstance(effect, ActuatorEffect)]
+    return sorted(chain, key=lambda entry: entry[1].stage)
 
-    An effect limits the force after a `ForceGain`, the drive its command.
-    """
-    gain: Scalar = 1.0
-    for effect in drive.effects:
-        if isinstance(effect, ForceGain):
-            gain = gain * jnp.abs(1.0 + effect.gain)
-    limits = [effect.limit / gain for effect in drive.effects if isinstance(effect, ForceLimit)]
-    if drive.actuator.force_limit is not None:
-        limits.append(drive.actuator.force_limit)
-    return functools.reduce(jnp.minimum, limits) if limits else None
+
+def force_limit(drive: Drive) -> Scalar | None:
+    """The largest command that is not limited (N): the smaller of the drive's and the effects' limits; None without."""
+    limit: Scalar | None = None
+    for _, effect in reversed(_actuator_chain(drive.effects)):
+        limit = effect.input_limit(limit)
+    own = drive.actuator.force_limit  # of the command, before any effect
+    return own if limit is None else limit if own is None else jnp.minimum(limit, own)
 
 
 def plant_substeps(effects: Effects, sampling: Sampling) -> int:
