@@ -108,9 +108,9 @@ class Axis(eqx.Module):
     def with_effects(self, *effects: Effect) -> "Axis":
         """The axis with these unmodelled effects beside those that it has; an effect replaces one of its name.
 
-        They are no part of its controller's model.
+        They are no part of its controller's model. Raises `ParameterError` for one that is not registered.
         """
-        names = {effect.name for effect in effects}
+        names = {effect.name for effect in in_order(effects)}
         remaining = [effect for effect in self.drive.effects if effect.name not in names]
         drive = eqx.tree_at(
             lambda d: d.effects,

@@ -12,6 +12,7 @@ from diffdrive.effects.machine import FrictionAsymmetry, FrictionShape, PayloadM
 from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import ParameterError
+from diffdrive.support.messages import short_repr
 
 EffectType = TypeVar("EffectType", bound=Effect)
 
@@ -87,6 +88,16 @@ def register(effect: type[EffectType]) -> type[EffectType]:
 
 
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Effects in the catalogue's order: drive files know no other."""
-    names = list(EFFECTS)
+    """Effects in the catalogue's order: drive files know no other. Raises `ParameterError` for one not in it."""
+    effects, names = tuple(effects), list(EFFECTS)
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise ParameterError(
+                f"effects: must be effects, such as ConstantForce(force=5.0), got {short_repr(effect)}"
+            )
+        if getattr(effect, "name", None) not in EFFECTS:
+            raise ParameterError(
+                f"effects: the catalogue has no {type(effect).__name__}: register its class, by "
+                "@diffdrive.effects.register"
+            )
     return tuple(sorted(effects, key=lambda effect: names.index(effect.name)))

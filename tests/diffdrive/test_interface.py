@@ -215,6 +215,23 @@ def test_an_effect_that_is_not_whole_is_refused():
             dd.effects.register(effect)
 
 
+def test_an_effect_that_nobody_registered_is_refused():
+    class Mine(dd.effects.TableForce):
+        name = "mine"
+
+        def push(self, seen):
+            return 0.0
+
+    class Unnamed(Mine):
+        name = None
+
+    for effect in (Mine(), Unnamed()):
+        with pytest.raises(ParameterError, match=r"register its class, by @diffdrive\.effects\.register"):
+            AXIS.with_effects(effect)
+    with pytest.raises(ParameterError, match=r"must be effects, such as ConstantForce\(force=5\.0\)"):
+        AXIS.with_effects(dd.effects.ConstantForce)
+
+
 def test_a_controller_of_ones_own_is_written_read_and_simulated(tmp_path):
     class Damper(dd.controllers.Controller):
         """u = -c v, of a velocity by backward difference."""
