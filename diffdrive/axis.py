@@ -17,9 +17,8 @@ from diffdrive.effects.catalogue import in_order
 from diffdrive.errors import ParameterError
 from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Directional, Drive, Sampling, Scalar, directional, quantities
+from diffdrive.model.parameters import Directional, Drive, Sampling, Scalar, is_number, parameter_value, quantities
 from diffdrive.motion.motion import Limits
-from diffdrive.support.units import in_unit
 
 PARTS = ("plant", "friction", "actuator", "sensor", "effects")  # of the machine
 
@@ -58,14 +57,16 @@ class Axis(eqx.Module):
         return {name: attrgetter(tunable.path)(self.controller) for name, tunable in self.controller.tunables.items()}
 
     def with_gains(self, **gains: Scalar) -> "Axis":
-        """The axis with these gains, numbers or traced; raises `ParameterError` for an unknown one."""
-        tunables = self.controller.tunables
-        for name in gains:
+        """The axis with these gains, numbers, arrays or traced; raises `ParameterError` for an unknown one."""
+        tunables, controller = self.controller.tunables, self.controller
+        declared = {path: declaration for path, declaration, _ in quantities(controller)}
+        for name, gain in gains.items():
             if name not in tunables:
                 raise ParameterError(f"{name}: {_unknown('gain', name, tunables)}")
-        paths = [tunables[name].path for name in gains]
-        controller = eqx.tree_at(lambda c: [attrgetter(path)(c) for path in paths], self.controller, [*gains.values()])
-        return eqx.tree_at(lambda axis: axis.controller, self, controller)
+            path = tunables[name].path
+            value = parameter_value(name, declared.get(path), gain)
+            controller = eqx.tree_at(attrgetter(path), controller, value, is_leaf=lambda leaf: leaf is None)
+        return replace(self, controller=controller)
 
     @property
     def parameters(self) -> dict[str, PyTree]:
@@ -82,18 +83,15 @@ class Axis(eqx.Module):
     def replace(self, values: Mapping[str, object]) -> "Axis":
         """The axis with other parameters, by dotted path (see `parameters`), in its controller's model, too.
 
-        A parameter that may differ between the directions takes one number or a pair (positive, negative). Raises
-        `ParameterError` for an unknown path.
+        A parameter that may differ between the directions takes one number or a pair (positive, negative), an optional
+        one None. Raises `ParameterError` for an unknown path, or what is no number.
         """
         drive = self.drive
         declared = {path: declaration for path, declaration, _ in quantities(drive)}
         for path, value in values.items():
             if path not in declared:
                 raise ParameterError(f"{path}: {_unknown('parameter', path, declared)}")
-            if isinstance(value, str):
-                unit = in_unit(declared[path].unit)
-                raise ParameterError(f"{path}: must be a number{unit}, got a string")
-            new = directional(value) if declared[path].directional else value
+            new = parameter_value(path, declared[path], value)
             drive = eqx.tree_at(_getter(drive, path), drive, new, is_leaf=lambda leaf: leaf is None)
         return self.with_drive(drive)
 
@@ -133,7 +131,7 @@ class Axis(eqx.Module):
     def __repr__(self) -> str:
         effects = "".join(f", {effect.name}" for effect in self.drive.effects)
         mass = self.drive.plant.mass
-        mass_text = f"{float(mass):.4g} kg" if _is_concrete(mass) else "mass traced"
+        mass_text = f"{float(mass):.4g} kg" if _is_concrete(mass) else f"mass {_described(mass)}"
         return f"Axis({mass_text}, {self.controller.kind or type(self.controller).__name__}, {self.rate:g} Hz{effects})"
 
     def summary(self) -> str:
@@ -146,8 +144,17 @@ class Axis(eqx.Module):
         )
 
 
-def _is_concrete(value: Scalar) -> bool:
-    return not isinstance(value, jax.core.Tracer) and np.ndim(value) == 0
+def _is_concrete(value: PyTree) -> bool:
+    return is_number(value) and not isinstance(value, jax.core.Tracer) and np.ndim(value) == 0
+
+
+def _described(value: PyTree) -> str:
+    """What is no single number, in a word or two."""
+    if value is None:
+        return "absent"
+    if isinstance(value, jax.core.Tracer):
+        return "traced"
+    return f"of shape {np.shape(value)}" if is_number(value) else "unknown"
 
 
 def _number_or_pair(value: PyTree) -> PyTree:
@@ -156,7 +163,7 @@ def _number_or_pair(value: PyTree) -> PyTree:
 
 def _formatted(value: PyTree) -> str:
     values = _number_or_pair(value) if isinstance(value, Directional) else (value,)
-    texts = dict.fromkeys(f"{float(value):.6g}" if _is_concrete(value) else "traced" for value in values)
+    texts = dict.fromkeys(f"{float(value):.6g}" if _is_concrete(value) else _described(value) for value in values)
     return " / ".join(texts)
 
 

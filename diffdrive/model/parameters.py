@@ -88,6 +88,29 @@ def directional(value: object) -> Directional | None:
     return Directional(value, value)  # type: ignore[arg-type]  # `check` says what is no number
 
 
+def is_number(value: object) -> bool:
+    """Whether it is a number or an array of numbers, traced or not; a truth value is none."""
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        return bool(jnp.issubdtype(value.dtype, jnp.integer) or jnp.issubdtype(value.dtype, jnp.floating))
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def parameter_value(name: str, declaration: Quantity | None, value: object) -> PyTree:
+    """A value as the parameter `name` holds it: a number or an array, traced or not, or two for the two directions.
+
+    None where the parameter is optional. Raises `ParameterError` for anything else; the range is not checked.
+    """
+    if declaration is not None and value is None and declaration.optional:
+        return None
+    held = directional(value) if declaration is not None and declaration.directional else value
+    for direction, number in _by_direction(held):
+        if not is_number(number):
+            unit = "" if declaration is None else in_unit(declaration.unit)
+            got = "a string" if isinstance(number, str) else short_repr(number)
+            raise ParameterError(f"{name}{direction}: must be a number{unit}, got {got}")
+    return held
+
+
 def quantity(
     unit: str,
     meaning: str,
@@ -261,7 +284,8 @@ def quantities(module: eqx.Module, path: str = "") -> Iterator[tuple[str, Quanti
             yield from quantities(value, name)
         elif isinstance(value, tuple):
             for item in value:
-                yield from quantities(item, f"{name}.{item.name}")
+                if isinstance(item, eqx.Module):
+                    yield from quantities(item, f"{name}.{getattr(item, 'name', type(item).__name__)}")
 
 
 def _by_direction(value: object) -> Iterator[tuple[str, object]]:
@@ -290,7 +314,7 @@ def check(module: eqx.Module, path: str = "") -> None:
         for direction, number in _by_direction(value):
             if isinstance(number, jax.core.Tracer):
                 continue
-            if isinstance(number, bool) or not isinstance(number, int | float | np.number | np.ndarray | jax.Array):
+            if not is_number(number):
                 problems.append(
                     f"{name}{direction} must be a number{in_unit(declaration.unit)}, got {short_repr(number)}"
                 )

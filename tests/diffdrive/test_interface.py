@@ -1,5 +1,6 @@
 """The public interface: an axis simulated and differentiated, logs from any table, an effect of one's own."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -99,6 +100,13 @@ def test_what_cannot_be_is_refused_by_name():
         AXIS.replace({"plant.mas": 1.0})
     with pytest.raises(ParameterError, match=r"plant.mass: must be a number in kg"):
         AXIS.replace({"plant.mass": "100 kg"})
+    for value in (None, True, "130", [130.0], np.array(["130"])):
+        with pytest.raises(ParameterError, match=r"plant.mass: must be a number in kg, got"):
+            AXIS.replace({"plant.mass": value})
+        with pytest.raises(ParameterError, match=r"kp: must be a number in N/m, got"):
+            AXIS.with_gains(kp=value)
+    with pytest.raises(ParameterError, match=r"friction.viscous \(negative direction\): must be a number"):
+        AXIS.replace({"friction.viscous": (5.0, None)})
     with pytest.raises(ParameterError, match="no such gain; did you mean 'kp'"):
         AXIS.with_gains(kpp=1.0)
     with pytest.raises(ParameterError, match="no kind 'pid'; known: pd, "):
@@ -110,6 +118,19 @@ def test_what_cannot_be_is_refused_by_name():
     assert dd.simulate(unstable, LAP).status.code == "diverged"
     with pytest.raises(DivergenceError, match="diverged"):
         dd.simulate(unstable, LAP, throw=True)
+
+
+def test_an_axis_says_what_its_mass_is_whatever_it_is():
+    assert repr(AXIS) == "Axis(100 kg, pd, 10000 Hz)"
+    assert repr(AXIS.replace({"plant.mass": np.ones(3)})) == "Axis(mass of shape (3,), pd, 10000 Hz)"
+    assert (
+        "of shape (3,)" in AXIS.replace({"friction.viscous": np.ones(3)[:, None]}).with_gains(kp=np.ones(3)).summary()
+    )
+    absent = eqx.tree_at(lambda axis: axis.drive.plant.mass, AXIS, None)
+    assert repr(absent) == "Axis(mass absent, pd, 10000 Hz)"
+    jax.eval_shape(lambda axis: (repr(axis), axis.drive)[1], AXIS)
+    limited = AXIS.replace({"actuator.force_limit": 100.0})
+    assert limited.replace({"actuator.force_limit": None}).value("actuator.force_limit") is None
 
 
 def test_a_result_is_saved_with_its_schema(tmp_path):
