@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import PyTree
 
 from diffdrive.effects.base import ActuatorEffect, Push, Stage
@@ -75,7 +76,8 @@ class ActuatorLag(ActuatorEffect):
 class LoopDelay(ActuatorEffect):
     """Dead time anywhere in the loop; a log does not show where.
 
-    A diagnosis may find a negative one: then the drive file's delay is too long.
+    A diagnosis may find a negative one: then the drive file's delay is too long. A whole number of periods is a corner:
+    the derivative there is that towards longer delays, at the longest that towards shorter ones.
     """
 
     name: ClassVar[str] = "loop_delay"
@@ -89,8 +91,12 @@ class LoopDelay(ActuatorEffect):
     def step(self, state: PyTree, force: Scalar, period: float) -> tuple[PyTree, Push]:
         """The delayed force: one value, and from some instant within the period on the next."""
         forces = (force, *state)
-        delay = jnp.clip(self.delay, 0.0, LONGEST_DELAY)
-        shares = [jnp.clip(1.0 - jnp.abs(delay - k), 0.0, 1.0) for k in range(LONGEST_DELAY + 1)]
-        steps = [shares[k] * shares[k + 1] * (forces[k] - forces[k + 1]) for k in range(LONGEST_DELAY)]
-        mean = sum(share * past_force for share, past_force in zip(shares, forces, strict=True))
-        return forces[:-1], Push(mean, 6.0 * sum(steps))
+        whole = lax.stop_gradient(jnp.clip(jnp.floor(self.delay), 0.0, LONGEST_DELAY - 1.0))
+        # by comparison: a clip has half of the derivative at its ends
+        part = jnp.where(self.delay < 0.0, 0.0, jnp.where(self.delay > LONGEST_DELAY, 1.0, self.delay - whole))
+        latest, earlier = forces[-2:]
+        for k in reversed(range(LONGEST_DELAY - 1)):
+            latest = jnp.where(whole == k, forces[k], latest)
+            earlier = jnp.where(whole == k, forces[k + 1], earlier)
+        rest = 1.0 - part
+        return forces[:-1], Push(rest * latest + part * earlier, 6.0 * part * rest * (latest - earlier))

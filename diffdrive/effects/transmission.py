@@ -270,7 +270,10 @@ class Compliance(Transmission):
 
 
 class Backlash(Transmission):
-    """A dead zone between motor and table, behind an elastic screw."""
+    """A dead zone between motor and table, behind an elastic screw.
+
+    At a gap of zero the screw is always in contact, and the derivative by the gap is that of a screw in contact.
+    """
 
     name: ClassVar[str] = "backlash"
     gap: Scalar = quantity("m", "backlash width: full width of the dead zone", at_least=0.0, default=0.0)

@@ -117,6 +117,46 @@ def test_derivatives_are_those_of_differences(effect):
         assert slope == pytest.approx(float(difference), rel=2e-3, abs=1e-7 * at_point[0] / float(step))
 
 
+AT_DEFAULT = [EFFECTS[name]() for name in IDS]
+WHOLE_DELAYS = [LoopDelay(delay) for delay in (0.0, 1.0, 2.0, 7.0)]
+# A gap, however narrow, lets the screw fly for a substep where its force turns; without one it is always in contact.
+# The motions differ by 0.1 nm, so differences have no limit. The derivative is that of the screw in contact.
+WITHOUT_LIMIT = {("backlash", "gap")}
+
+
+@pytest.mark.parametrize("effect", [*AT_DEFAULT, *WHOLE_DELAYS[1:]], ids=[*IDS, *(f"delay {k}" for k in (1, 2, 7))])
+def test_derivatives_at_the_default_are_those_of_differences_ahead(effect):
+    """Where parameters are at the lower ends of their ranges, derivatives are those towards what the range allows."""
+    machine = as_arrays(smooth(with_effects(effect)))
+    leaves, tree = jax.tree.flatten(machine.effects)
+    values = jnp.stack(leaves)
+    fields = [field for field in dataclasses.fields(effect) if getattr(effect, field.name) is not None]
+    usual = jnp.asarray([1e-3 if field.metadata["quantity"].unit == "m" else 1.0 for field in fields])
+    finite = np.isfinite(np.asarray(values))
+
+    def signal(values):
+        changed = eqx.tree_at(lambda d: d.effects, machine, jax.tree.unflatten(tree, list(values)))
+        return rollout(changed, as_arrays(CONTROLLER), INPUTS, Sampling(rate=RATE, substeps=5)).measured
+
+    @jax.jit
+    def along(points, directions):
+        return jax.vmap(lambda point, direction: jax.jvp(signal, (point,), (direction,)))(points, directions)
+
+    units, step = jnp.eye(len(values)), 1e-6
+    shifts = units * (step * jnp.where(finite & (values != 0.0), jnp.abs(values), usual))[:, None]
+    points = jnp.concatenate([values + 0.0 * units, values + shifts, values + 2.0 * shifts])
+    points = jnp.where(finite, points, values)
+    signals, slopes = along(points, jnp.tile(units, (3, 1)))
+    (at_point, once, twice), slopes = np.split(np.asarray(signals), 3), np.asarray(slopes)[: len(values)]
+    for k, name in enumerate(field.name for field in fields):
+        difference = (2.0 * once[k] - 0.5 * twice[k] - 1.5 * at_point[k]) / float(shifts[k, k])
+        rounding = 2e-17 / float(shifts[k, k])  # m, of a position of a millimetre
+        size = np.max(np.abs(difference))
+        assert np.all(np.isfinite(slopes[k]))
+        if (effect.name, name) not in WITHOUT_LIMIT:
+            np.testing.assert_allclose(slopes[k], difference, rtol=0, atol=2e-3 * size + rounding, err_msg=name)
+
+
 def test_an_oscillator_is_stepped_exactly():
     push, angular, damping = 3.0, 40.0, 0.1
 
