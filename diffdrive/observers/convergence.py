@@ -165,15 +165,6 @@ def divergent_speeds(
     ]
 
 
-def require_convergent(
-    observer: KalmanObserver, speeds: Sequence[float] | np.ndarray, period: float, loads: Sequence[float] = (0.0,)
-) -> None:
-    """Raise `LoadEstimatorError` naming the speeds (m/s) at which eq. (20) does not converge under `loads` (N)."""
-    divergent = divergent_speeds(observer, speeds, period, loads)
-    if divergent:
-        raise LoadEstimatorError(_divergence_message(divergent))
-
-
 def _divergence_message(speeds: Sequence[float]) -> str:
     listed = ", ".join(f"{1e3 * v:.3g}" for v in speeds)
     return (

@@ -13,7 +13,6 @@ import psutil
 from diffdrive.errors import DiffdriveError
 
 _SIZES = ((1e18, "EB"), (1e15, "PB"), (1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
-_TIMES = ((365.25 * 86400.0, "years"), (86400.0, "days"), (3600.0, "h"), (60.0, "min"))
 # of the container around this process, where there is one (cgroup v2, v1)
 _LIMITS = (
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
@@ -52,25 +51,16 @@ def require_disk(error: type[DiffdriveError], request: str, folder: Path, needed
 
 def format_bytes(count: float) -> str:
     """A number of bytes with its prefix, such as 1.5 GB."""
-    return _scaled(count, _SIZES, "B")
-
-
-def format_duration(seconds: float) -> str:
-    """A duration (s) in s, min, h, days or years."""
-    return _scaled(seconds, _TIMES, "s")
+    number = _float(count)
+    for size, unit in _SIZES:
+        if number >= size:
+            return f"{number / size:.3g} {unit}"
+    return f"{number:.3g} B"
 
 
 def format_count(count: float) -> str:
     """A count: in full below a million, else to three digits."""
     return f"{count}" if count < 1e6 else f"{_float(count):.3g}"
-
-
-def _scaled(value: float, units: tuple[tuple[float, str], ...], smallest: str) -> str:
-    number = _float(value)
-    for size, unit in units:
-        if number >= size:
-            return f"{number / size:.3g} {unit}"
-    return f"{number:.3g} {smallest}"
 
 
 def _float(value: float) -> float:
