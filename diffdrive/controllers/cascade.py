@@ -50,9 +50,9 @@ class Cascade(Controller):
     velocity_samples: int = eqx.field(static=True, default=1)
 
     def __check_init__(self) -> None:
-        samples = self.velocity_samples
-        if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
-            raise ParameterError(f"velocity_samples must be a whole number of at least 1, got {short_repr(samples)}")
+        problem = _samples_problem(self.velocity_samples)
+        if problem is not None:
+            raise ParameterError(f"velocity_samples {problem}")
 
     @property
     def kind(self) -> str:
@@ -107,14 +107,22 @@ class Cascade(Controller):
         return CascadeState(history, integral, jnp.ones_like(position)), Command(force)
 
 
+def _samples_problem(samples: object) -> str | None:
+    """Why a velocity cannot be differenced over so many samples; None where it can."""
+    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
+        return f"must be a whole number of at least 1, got {short_repr(samples)}"
+    return None
+
+
 VELOCITY_SAMPLES = Option("velocity_samples", "-", ">= 1, whole", "1", "samples over which the velocity is differenced")
 
 
 def _build(section: Section, drive: Drive) -> Cascade:
     # the loop of most CNCs has no feed-forward of force unless the file says so
     feedforward, samples = read_feedforward(section, drive, default=False), section.take("velocity_samples", 1)
-    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
-        raise section.fail("velocity_samples", f"must be a whole number of at least 1, got {short_repr(samples)}")
+    problem = _samples_problem(samples)
+    if problem is not None:
+        raise section.fail("velocity_samples", problem)
     return section.build(Cascade, feedforward=feedforward, velocity_samples=samples)
 
 

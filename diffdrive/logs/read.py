@@ -38,9 +38,7 @@ def read_table(path: str | Path) -> Table:
         raise LogError(f"{path}: no such file") from None
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror or error}") from None
-    if not table.columns or not any(len(values) for values in table.columns.values()):
-        raise LogError(f"{path}: has no samples; export the log again")
-    return table
+    return _with_samples(table, str(path))
 
 
 def read_log(
@@ -94,9 +92,13 @@ def read_log(
 def _table_from_memory(source: object, name: str) -> Table:
     from diffdrive.logs.formats.frame import read_frame
 
-    table = read_frame(source, name)
+    return _with_samples(read_frame(source, name), name)
+
+
+def _with_samples(table: Table, source: str) -> Table:
+    """The table; raises `LogError` where it is empty."""
     if not table.columns or not any(len(values) for values in table.columns.values()):
-        raise LogError(f"{name}: has no samples")
+        raise LogError(f"{source}: has no samples; export the log again")
     return table
 
 
