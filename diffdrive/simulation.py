@@ -14,8 +14,7 @@ from diffdrive.loop.metrics import rms
 from diffdrive.loop.run import Run
 from diffdrive.model.parameters import Scalar, as_arrays
 from diffdrive.motion.motion import Motion
-
-RATE_TOLERANCE = 1e-6  # relative
+from diffdrive.support.rates import is_same_rate
 
 
 def simulate(
@@ -126,7 +125,7 @@ def rollout(
 
     """
     drive = _checked_machine(axis, machine).drive
-    if abs(motion.rate / axis.rate - 1.0) > RATE_TOLERANCE:
+    if not is_same_rate(motion.rate, axis.rate):
         raise ParameterError(
             f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {axis.rate:g} Hz: make them equal"
         )
@@ -155,7 +154,7 @@ def rollout(
 def _checked_machine(axis: Axis, machine: Axis | None) -> Axis:
     if machine is None:
         return axis
-    if abs(machine.rate / axis.rate - 1.0) > RATE_TOLERANCE:
+    if not is_same_rate(machine.rate, axis.rate):
         raise ParameterError(
             f"machine: is sampled at {machine.rate:.10g} Hz, the axis at {axis.rate:.10g} Hz: delays are given "
             "in samples; make the rates equal"

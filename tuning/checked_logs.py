@@ -10,7 +10,7 @@ from diffdrive.axis import Axis
 from diffdrive.errors import LogError
 from diffdrive.logs import Log, read_log
 from diffdrive.logs.checks.examine import Finding, examine, examine_together
-from diffdrive.logs.clocks.rate import RATE_TOLERANCE
+from diffdrive.support.rates import CLOCK_TOLERANCE, is_same_rate
 from tuning.identification.problem import MIN_LANE_SAMPLES
 
 
@@ -96,7 +96,7 @@ def _with_load(log: Log, load: float | None) -> Log:
 
 
 def _require_rate(path: str, log: Log, rate: float) -> None:
-    if abs(log.rate / rate - 1) > RATE_TOLERANCE:
+    if not is_same_rate(log.rate, rate, CLOCK_TOLERANCE):
         raise LogError(
             f"{path}: is sampled at {log.rate:g} Hz, the drive file's controller runs at {rate:g} Hz: log every sample "
             "of the controller, or set [sampling] rate to that at which it ran"

@@ -45,6 +45,7 @@ from diffdrive.numerics.pipeline import require_shorter
 from diffdrive.observers.convergence import convergence_warnings
 from diffdrive.observers.friction_observer import ObserverEstimate
 from diffdrive.support.messages import short_repr
+from diffdrive.support.rates import is_same_rate
 from diffdrive.support.resources import require_memory
 
 INPUT_ARRAYS, OUTPUT_ARRAYS, DOUBLE_BYTES = (
@@ -344,7 +345,7 @@ def simulate(
     check_drive(drive)
     check(controller)
     require_within(motion, limits)
-    if abs(motion.rate / sampling.rate - 1) > 1e-6:
+    if not is_same_rate(motion.rate, sampling.rate):
         raise ParameterError(
             f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {sampling.rate:g} Hz: make them equal"
         )

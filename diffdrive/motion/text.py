@@ -18,9 +18,9 @@ from diffdrive.motion import load
 from diffdrive.motion.file import parse_motion_table, read_motion
 from diffdrive.motion.motion import Motion
 from diffdrive.support.messages import shortened
+from diffdrive.support.rates import is_same_rate
 from diffdrive.support.units import to_si
 
-RATE_TOLERANCE = 1e-6  # relative: what units and rounding make of one rate
 MOTIONS: dict[str, Callable[..., Motion]] = {
     "triangular": motion.triangular,
     "constant_speed": motion.constant_speed,
@@ -74,7 +74,7 @@ def number(text: str, unit: str, where: str) -> float:
 def require_same_rate(where: str, axis: Axis, nominal: Axis) -> None:
     """Raise `ParameterError` for a machine or controller of another control rate: its delays are in samples."""
     rate, nominal_rate = axis.sampling.rate, nominal.sampling.rate
-    if abs(rate / nominal_rate - 1.0) > RATE_TOLERANCE:
+    if not is_same_rate(rate, nominal_rate):
         raise ParameterError(
             f"{where}: is sampled at {rate:.10g} Hz, the drive file at {nominal_rate:.10g} Hz: delays are given "
             "in samples: make the rates equal"

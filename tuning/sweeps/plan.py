@@ -23,8 +23,9 @@ from diffdrive.loop.simulate import Costs
 from diffdrive.model.parameters import Drive, require_double_precision
 from diffdrive.motion.load import Ramp, require_resolved_friction
 from diffdrive.motion.motion import Motion, require_within
-from diffdrive.motion.text import RATE_TOLERANCE, Recipe, load_recipe, parse_load, require_longer_than
+from diffdrive.motion.text import Recipe, load_recipe, parse_load, require_longer_than
 from diffdrive.runtime import arithmetic_signature
+from diffdrive.support.rates import is_same_rate
 from diffdrive.support.resources import require_memory
 from tuning.store.edition import code_digest
 from tuning.sweeps.courses import (
@@ -99,7 +100,7 @@ class SweepPlan:
             if not plan._varies("motion"):  # else none of the machines may run that one
                 require_within(motion, axis.limits)
                 require_longer_than(plan.settle, name, motion)
-            if abs(motion.rate / axis.sampling.rate - 1.0) > RATE_TOLERANCE:
+            if not is_same_rate(motion.rate, axis.sampling.rate):
                 raise ParameterError(
                     f"{name}: is sampled at {motion.rate:g} Hz, the controller runs at {axis.sampling.rate:g} Hz: "
                     "make them equal"

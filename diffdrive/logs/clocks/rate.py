@@ -2,9 +2,8 @@
 
 from diffdrive.errors import LogError
 from diffdrive.logs.clocks.uniform_clock import UniformClock
+from diffdrive.support.rates import CLOCK_TOLERANCE, is_same_rate
 
-# relative, for whoever compares rates: crystals agree far better, wrong settings far worse
-RATE_TOLERANCE = 1e-3
 _NOTED_DRIFT = 0.01  # periods of drift over the log
 LARGEST_FACTOR = 50  # of decimation or oversampling
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0}  # s
@@ -21,7 +20,7 @@ def rate_notes(source: str, clock: UniformClock, rate: float | None, time_unit: 
     log_rate = 1.0 / clock.period
     error = log_rate / rate - 1.0
     duration = float(clock.times[-1] - clock.times[0])
-    if abs(error) <= RATE_TOLERANCE:
+    if is_same_rate(log_rate, rate, CLOCK_TOLERANCE):
         drift = abs(error) * duration
         if drift <= _NOTED_DRIFT * clock.period:
             return []
@@ -39,7 +38,7 @@ def rate_notes(source: str, clock: UniformClock, rate: float | None, time_unit: 
                 f'time = "{name}", or correct [sampling] rate'
             )
     factor = round(ratio)
-    if 2 <= factor <= LARGEST_FACTOR and abs(ratio / factor - 1) <= RATE_TOLERANCE:
+    if 2 <= factor <= LARGEST_FACTOR and is_same_rate(ratio, factor, CLOCK_TOLERANCE):
         relation = f"every {factor}th sample of" if log_rate < rate else f"{factor} samples in each period of"
         return [f"the log has {log_rate:.6g} Hz: {relation} the drive file's {rate:g} Hz"]
     raise LogError(
