@@ -24,6 +24,7 @@ from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import feasibility, stages
 from diffdrive.effects.base import Effect, Push
 from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
+from diffdrive.loop.convergence import convergence_warnings
 from diffdrive.loop.metrics import safe_sqrt
 from diffdrive.loop.run import Run, with_status
 from diffdrive.model import actuator, plant, sensor
@@ -42,7 +43,6 @@ from diffdrive.motion.load import Ramp, require_resolved_friction, validated_loa
 from diffdrive.motion.motion import Limits, Motion, require_within
 from diffdrive.numerics.once import once
 from diffdrive.numerics.pipeline import require_shorter
-from diffdrive.observers.convergence import convergence_warnings
 from diffdrive.observers.friction_observer import ObserverEstimate
 from diffdrive.support.messages import short_repr
 from diffdrive.support.rates import is_same_rate

@@ -13,10 +13,10 @@ from diffdrive.logs.column_unit import FORCES
 from diffdrive.logs.log import CHANNELS
 from diffdrive.logs.write import write_csv
 from diffdrive.loop import metrics
+from diffdrive.loop.convergence import convergence_gains, time_constants
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate
 from diffdrive.motion.text import numbers, parse_load, parse_motion, require_longer_than, require_same_rate
-from diffdrive.observers.convergence import convergence_gains, time_constants
 from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
 from experiments.reports.readable import shown

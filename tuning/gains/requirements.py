@@ -15,11 +15,11 @@ from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
 from diffdrive.errors import ParameterError
+from diffdrive.loop.convergence import convergence_gain, innovation_load_observer
 from diffdrive.loop.linearise import OperatingPoint, open_loop
 from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins, margins
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling, Scalar, as_arrays
-from diffdrive.observers.convergence import convergence_gain, innovation_load_observer
 from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
 from tuning.gains.objective import rms

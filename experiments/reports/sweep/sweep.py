@@ -8,8 +8,8 @@ import numpy as np
 
 from diffdrive.axis_file.drive_file import axis_tables, parse_axis, write_axis
 from diffdrive.errors import ParameterError
+from diffdrive.loop.convergence import convergence_warnings
 from diffdrive.motion.text import require_choice
-from diffdrive.observers.convergence import convergence_warnings
 from diffdrive.support.atomic_write import atomic_write
 from experiments.reports.report import RESULT, Report, named_file
 from experiments.reports.simulation import write_simulation

@@ -12,12 +12,12 @@ from jaxtyping import Array
 from diffdrive import motion
 from diffdrive.controllers import Controller, Feedforward, FrictionCompensation, Tracking
 from diffdrive.controllers.base import PDGains
+from diffdrive.loop.convergence import convergence_gains, time_constants
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.friction import coulomb, deflection_after, friction_force, lugre_coefficients, steady_friction
 from diffdrive.model.parameters import Drive, Friction
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.observers.convergence import convergence_gains, time_constants
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
 from diffdrive.observers.load_estimator import InnovationLoad
 from experiments.reports.report import Report

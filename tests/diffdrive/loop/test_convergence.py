@@ -12,17 +12,17 @@ from diffdrive import motion
 from diffdrive.controllers import FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import LoadEstimatorError
-from diffdrive.loop.simulate import simulate
-from diffdrive.model.friction import lugre_coefficients, steady_friction
-from diffdrive.model.presets import PAPER_KD, PAPER_KP
-from diffdrive.numerics.transition import state_matrices
-from diffdrive.observers.convergence import (
+from diffdrive.loop.convergence import (
     convergence_gain,
     convergence_gains,
     divergent_speeds,
     steady_covariance,
     time_constants,
 )
+from diffdrive.loop.simulate import simulate
+from diffdrive.model.friction import lugre_coefficients, steady_friction
+from diffdrive.model.presets import PAPER_KD, PAPER_KP
+from diffdrive.numerics.transition import state_matrices
 from diffdrive.observers.friction_observer import KalmanObserver, Tuning
 from diffdrive.observers.load_estimator import InnovationLoad
 
