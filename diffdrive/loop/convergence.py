@@ -17,8 +17,8 @@ from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import LoadEstimatorError
 from diffdrive.model.friction import lugre_coefficients, steady_friction, stribeck_level
 from diffdrive.model.parameters import Friction, Scalar, as_arrays, require_double_precision
+from diffdrive.model.transition import state_matrices
 from diffdrive.motion.motion import Motion
-from diffdrive.numerics.transition import state_matrices
 from diffdrive.observers import kalman
 from diffdrive.observers.friction_observer import KalmanObserver, estimated_friction
 from diffdrive.observers.load_estimator import InnovationLoad

@@ -15,8 +15,8 @@ from jaxtyping import PyTree
 
 from diffdrive.model.friction import LuGreCoefficients, friction_force, lugre_coefficients
 from diffdrive.model.parameters import Friction, Plant, Scalar, quantity, quantity_table
+from diffdrive.model.transition import state_matrices, transition
 from diffdrive.numerics.once import once
-from diffdrive.numerics.transition import state_matrices, transition
 from diffdrive.observers import kalman
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
 from diffdrive.support.typing import TomlTable

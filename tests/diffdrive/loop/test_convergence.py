@@ -22,7 +22,7 @@ from diffdrive.loop.convergence import (
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.friction import lugre_coefficients, steady_friction
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
-from diffdrive.numerics.transition import state_matrices
+from diffdrive.model.transition import state_matrices
 from diffdrive.observers.friction_observer import KalmanObserver, Tuning
 from diffdrive.observers.load_estimator import InnovationLoad
 

@@ -8,7 +8,7 @@ from scipy.linalg import expm, expm_frechet
 
 from diffdrive.model.friction import LuGreCoefficients, lugre_coefficients
 from diffdrive.model.parameters import Directional, Plant
-from diffdrive.numerics.transition import state_matrices
+from diffdrive.model.transition import state_matrices
 
 SPEEDS = np.concatenate([[0.0], *(sign * np.logspace(-12, 0, 61) for sign in (1, -1))])
 ENTRIES = ([0, 0, 1, 1, 2, 2], [1, 2, 1, 2, 1, 2])
