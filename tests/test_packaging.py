@@ -44,6 +44,47 @@ def test_imports_point_from_experiments_to_tuning_to_diffdrive(path):
     assert not any(name.startswith("experiments.bootstrap") for name in imported)
 
 
+# what a part of diffdrive imports stands above it, or in its own line
+LAYERS = (
+    ("errors", "support"),
+    ("runtime", "results"),
+    ("numerics",),
+    ("model",),
+    ("observers",),
+    ("logs",),  # of a log itself; what asks an axis stands below
+    ("motion",),
+    ("effects",),
+    ("controllers",),
+    ("loop",),
+    ("axis",),
+    ("axis_file", "paper", "simulation", "motion.text", "motion.reference", "logs.checks"),
+)
+UPWARDS = {  # the imports that may go the other way: of a type alone, or where a method is called
+    "diffdrive.model.parameters.Scalar": "diffdrive.numerics",
+    "diffdrive.axis.Axis": "diffdrive.logs.read",
+    "diffdrive.axis_file.drive_file.write_axis": "diffdrive.axis",
+}
+RANKS = {f"diffdrive.{part}": rank for rank, layer in enumerate(LAYERS) for part in layer}
+
+
+def rank_of(name):
+    """The layer of a module of diffdrive, by the longest name that it begins with."""
+    parts = name.split(".")
+    return next(rank for k in range(len(parts), 1, -1) if (rank := RANKS.get(".".join(parts[:k]))) is not None)
+
+
+@pytest.mark.parametrize("path", [path for path in SOURCES if path.is_relative_to(ROOT / "diffdrive")], ids=module_name)
+def test_imports_within_diffdrive_point_from_the_whole_to_its_parts(path):
+    name = module_name(path)
+    imported = [other for other in imports_of(path) if other.startswith("diffdrive.")]
+    against = [
+        other
+        for other in imported
+        if rank_of(other) > rank_of(name) and not name.startswith(UPWARDS.get(other, "nothing"))
+    ]
+    assert against == []
+
+
 def run_code(code):
     """Run code in a Python of its own, without what the tests themselves have set for jax."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("XLA_", "JAX_"))}

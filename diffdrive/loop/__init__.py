@@ -1,1 +1,1 @@
-"""The closed loop: its step, its roll-out, its linearisation, and what is measured of it."""
+"""The closed loop: its step, its roll-out, its linearisation, its convergence, and what is measured of it."""

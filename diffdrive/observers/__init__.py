@@ -1,1 +1,1 @@
-"""Kalman observers of friction and load, and whether they converge."""
+"""Kalman observers of friction and load."""
