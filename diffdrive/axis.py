@@ -1,6 +1,5 @@
 """An axis: the machine, its controller, and how both are sampled, limited and logged."""
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from operator import attrgetter
@@ -19,6 +18,7 @@ from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Directional, Drive, Sampling, Scalar, is_number, parameter_value, quantities
 from diffdrive.motion.motion import Limits
+from diffdrive.support.messages import suggestion
 
 PARTS = ("plant", "friction", "actuator", "sensor", "effects")  # of the machine
 
@@ -177,5 +177,4 @@ def _getter(drive: Drive, path: str) -> Callable[[Drive], PyTree]:
 
 
 def _unknown(what: str, name: str, known: Mapping[str, object]) -> str:
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"no such {what}; " + (f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}")
+    return f"no such {what}; {suggestion(name, known)}"

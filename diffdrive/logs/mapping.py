@@ -1,7 +1,6 @@
 """Which column of a log's file is which channel, in which unit and time: [columns], [units] and [shifts]."""
 
 import dataclasses
-import difflib
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePath
@@ -10,7 +9,7 @@ from typing import cast
 from diffdrive.errors import LogError
 from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
 from diffdrive.logs.log import READABLE
-from diffdrive.support.messages import short_repr
+from diffdrive.support.messages import short_repr, suggestion
 from diffdrive.support.units import to_si
 
 
@@ -36,7 +35,7 @@ class ColumnMapping:
             for channel, text in getattr(self, table).items():
                 known = [*READABLE, *(FORCE_PER if table == "units" else ())]
                 if channel not in READABLE:
-                    raise LogError(f"[{table}] {channel}: no such channel; {_suggestion(channel, known)}")
+                    raise LogError(f"[{table}] {channel}: no such channel; {suggestion(channel, known)}")
                 if not isinstance(text, str) or not text.strip():
                     raise LogError(
                         f"[{table}] {channel}: must be a text, such as {_EXAMPLE[table]}, got {short_repr(text)}"
@@ -51,7 +50,7 @@ class ColumnMapping:
                 raise LogError(f"[shifts] {key}: names no log: write 'lap2:{channel}', or '{channel}' for all of them")
             if channel not in READABLE or channel == "time":
                 known = [name for name in READABLE if name != "time"]
-                raise LogError(f"[shifts] {key}: no channel that can be shifted; {_suggestion(channel, known)}")
+                raise LogError(f"[shifts] {key}: no channel that can be shifted; {suggestion(channel, known)}")
             if isinstance(samples, bool) or not isinstance(samples, int):
                 raise LogError(
                     f"[shifts] {key}: must be a whole number of samples, such as -1, got {short_repr(samples)}"
@@ -161,11 +160,6 @@ def mapping_tables(mapping: ColumnMapping) -> dict[str, dict[str, object]]:
         "columns": {**mapping.columns}, "units": {**mapping.units, **gains}, "shifts": {**mapping.shifts},
     }  # fmt: skip
     return {name: table for name, table in tables.items() if table}
-
-
-def _suggestion(name: str, known: list[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
 
 
 def _parse_gain(key: str, value: object, where: str) -> float:

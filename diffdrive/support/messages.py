@@ -43,6 +43,12 @@ def shortened(text: str, longest: int = MAX_LENGTH) -> str:
     return text if len(text) <= longest else f"{text[: longest - 20]}...{text[-17:]}"
 
 
+def suggestion(name: str, known: Collection[str]) -> str:
+    """Which of the `known` names may have been meant, or all of them."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+
+
 def quoted_names(names: Collection[str], wanted: str = "", noun: str = "names") -> str:
     """Names in quotes: all if they are few, else their number and those near `wanted`."""
     if len(names) <= MAX_LISTED:
