@@ -8,6 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from diffdrive.errors import LogError
+from diffdrive.support.messages import short_repr, suggestion
 
 Signal = Float[np.ndarray, " n"]
 Samples = Float[np.ndarray, " m"]  # of another length than the signals beside it
@@ -45,6 +49,8 @@ class Log:
 
     `gaps` are the indices k at which samples are missing between k - 1 and k; `notes` say what a reader repaired;
     `shifts` are the samples by which it shifted channels, as its mapping says.
+
+    Raises `LogError`, which names the channel, where signals are no real numbers of one length, or gaps lie outside.
     """
 
     name: str
@@ -62,6 +68,40 @@ class Log:
     notes: tuple[str, ...] = ()
     shifts: Mapping[str, int] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name, channel in CHANNELS.items():
+            values = getattr(self, name)
+            if values is not None:
+                object.__setattr__(self, name, self._as_signal(name, values))
+            elif channel.required:
+                required = ", ".join(name for name, channel in CHANNELS.items() if channel.required)
+                raise LogError(f"{self.name}: {name}: is missing; a log has {required}")
+        count = len(self.time)
+        if count < 2:
+            raise LogError(f"{self.name}: time: has {count} samples, and a log at least 2")
+        for name, signal in self.channels.items():
+            if len(signal) != count:
+                raise LogError(
+                    f"{self.name}: {name}: has {len(signal)} samples, time {count}: read both from the same rows"
+                )
+        object.__setattr__(self, "gaps", tuple(self.gaps))
+        for place in self.gaps:
+            if not isinstance(place, int | np.integer) or not 0 < place < count:
+                raise LogError(f"{self.name}: gaps: {place!r} is no place between two of {count} samples")
+        if any(later <= earlier for earlier, later in itertools.pairwise(self.gaps)):
+            raise LogError(f"{self.name}: gaps: must rise, got {short_repr(self.gaps)}")
+        for name in self.shifts:
+            if name not in READABLE:
+                raise LogError(f"{self.name}: shifts: no such channel '{name}'; {suggestion(name, READABLE)}")
+
+    def _as_signal(self, name: str, values: ArrayLike) -> Signal:
+        signal = np.asarray(values)
+        if signal.ndim != 1:
+            raise LogError(f"{self.name}: {name}: has {signal.ndim} dimensions; a signal is one number in each row")
+        if signal.dtype.kind not in "fiu":
+            raise LogError(f"{self.name}: {name}: holds {signal.dtype}; a signal is one real number in each row")
+        return signal.astype(np.float64, copy=False)
+
     def __repr__(self) -> str:
         low, high = 1e3 * float(np.min(self.position)), 1e3 * float(np.max(self.position))
         speed = 1e3 * float(np.max(np.abs(np.diff(self.position)))) * self.rate
@@ -72,7 +112,14 @@ class Log:
         )
 
     def replace(self, **signals: Signal | None) -> "Log":
-        """The log with other signals, by channel: arrays of the same length, or None for none."""
+        """The log with other signals, by channel: arrays of the same length, or None for none.
+
+        Raises `LogError` for a field that no log has, and for signals that make no log.
+        """
+        known = [field.name for field in fields(self)]
+        for name in signals:
+            if name not in known:
+                raise LogError(f"{self.name}: no such field '{name}'; {suggestion(name, known)}")
         return dataclasses.replace(self, **signals)  # type: ignore[arg-type]  # mypy asks for a type that fits every field
 
     @property

@@ -80,6 +80,47 @@ def test_units_are_written(tmp_path):
     assert read_mat(tmp_path / "log.73.mat")["units"]["command"] == "N"
 
 
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"position": np.arange(7.0)}, r"log: position: has 7 samples, time 10"),
+        ({"load": np.arange(3.0)}, r"log: load: has 3 samples, time 10"),
+        ({"command": np.ones((10, 2))}, r"log: command: has 2 dimensions; a signal is one number in each row"),
+        ({"command": np.float64(1.0)}, r"log: command: has 0 dimensions"),
+        ({"command": None}, r"log: command: is missing; a log has time, position, command"),
+        ({"velocity": np.array(["1"] * 10)}, r"log: velocity: holds <U1; a signal is one real number in each row"),
+        ({"position": 1j * SHORT}, r"log: position: holds complex128"),
+        ({"time": np.array([])}, r"log: time: has 0 samples, and a log at least 2"),
+        ({"gaps": (0,)}, r"log: gaps: 0 is no place between two of 10 samples"),
+        ({"gaps": (3, 10)}, r"log: gaps: 10 is no place between two of 10 samples"),
+        ({"gaps": (4, 2)}, r"log: gaps: must rise, got \(4, 2\)"),
+        ({"gaps": (2.5,)}, r"log: gaps: 2\.5 is no place"),
+        ({"shifts": {"speed": 1}}, r"log: shifts: no such channel 'speed'"),
+    ],
+)
+def test_signals_that_make_no_log_are_refused_by_name(fields, says):
+    whole = {"time": SHORT, "position": SHORT, "command": SHORT}
+    with pytest.raises(LogError, match=says):
+        Log("log", **(whole | fields))
+    with pytest.raises(LogError, match=says):
+        Log("log", **whole).replace(**fields)
+
+
+def test_a_field_that_no_log_has_is_refused_by_name():
+    with pytest.raises(LogError, match=r"log: no such field 'postion'; did you mean 'position'"):
+        Log("log", SHORT, SHORT, SHORT).replace(postion=SHORT)
+    with pytest.raises(LogError, match=r"log: no such field 'foo'; known: name, time, position, command, reference, "):
+        Log("log", SHORT, SHORT, SHORT).replace(foo=SHORT)
+
+
+def test_whole_and_single_precision_numbers_become_those_of_double_precision():
+    log = Log("log", SHORT, list(range(10)), np.arange(10, dtype=np.float32), load=jnp.zeros(10, jnp.float32), gaps=[3])
+    assert all(type(signal) is np.ndarray and signal.dtype == np.float64 for signal in log.channels.values())
+    np.testing.assert_array_equal(log.position, np.arange(10.0))
+    assert log.time is SHORT
+    assert log.gaps == (3,)
+
+
 def test_what_cannot_be_written_is_refused(tmp_path):
     log = Log("log", SHORT, SHORT, SHORT)
     with pytest.raises(LogError, match=r"cannot write '\.xlsx'; known: \.csv, \.parquet, \.73\.mat, \.mat"):

@@ -167,12 +167,6 @@ CORRUPTED = {
         r"3 rows were lost at 1 places",
     ),
     "repeated row": (repeated(SOUND, FASTEST), "fatal", "time", r"1 rows were repeated"),
-    "unequal lengths": (
-        replaced(command=SOUND.command[:-1]),
-        "fatal",
-        "time",
-        rf"differ in length.*command {COUNT - 1}",
-    ),
     "a few samples": (decimated(SOUND, 100), "fatal", "time", r"only 60 samples"),
     # the count grid
     "resampled": (
