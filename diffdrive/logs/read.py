@@ -1,7 +1,7 @@
 """Reads a log of any known format: its columns, their channels and units, missing values, the clock."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -133,6 +133,10 @@ def read_logs(
     sources: Iterable[object],
     axis: "Axis | None" = None,
     *,
+    columns: TextByChannel | None = None,
+    units: TextByChannel | None = None,
+    shifts: Mapping[str, int] | None = None,
+    names: Sequence[str] | None = None,
     mapping: ColumnMapping | None = None,
     rate: float | None = None,
 ) -> tuple[Log, ...]:
@@ -141,21 +145,37 @@ def read_logs(
     Args:
         sources: Files, data frames, or dicts of arrays.
         axis: The axis that they are of.
+        columns: The column of each channel, in all of them.
+        units: What one unit of a channel's column is, in all of them.
+        shifts: Whole samples by which to move channels; a key such as "lap2:command" is of the file, or the data
+            frame, of that name alone.
+        names: One for each log; by default those of the files, with the folder's where two files are called the same.
         mapping: Columns, units and shifts in the place of the axis's.
         rate: Of the controller (Hz), by default the axis's.
 
     Raises:
-        LogError: One of them cannot be read or used.
+        LogError: One of them cannot be read or used, or there are not as many names as logs.
+
+    Examples:
+        >>> laps = read_logs([slow, fast], axis, columns={"position": "ActPos"}, names=["slow", "fast"])
 
     """
     sources = list(sources)
-    files = [Path(source) if isinstance(source, str | Path) else None for source in sources]
-    logs = [
-        read_log(source, axis, mapping=mapping, rate=rate, name=None if file else f"log{k + 1}")
-        for k, (source, file) in enumerate(zip(sources, files, strict=True))
-    ]
-    if not logs:
+    if not sources:
         raise LogError("no log is named; give one or more files")
+    if names is not None and len(names) != len(sources):
+        raise LogError(f"{len(sources)} logs and {len(names)} names; give one for each")
+    files = [Path(source) if isinstance(source, str | Path) else None for source in sources]
+    by_default = [None if file else f"log{k + 1}" for k, file in enumerate(files)]
+    logs = tuple(
+        read_log(source, axis, columns=columns, units=units, shifts=shifts, name=name, mapping=mapping, rate=rate)
+        for source, name in zip(sources, names or by_default, strict=True)
+    )
+    return logs if names is not None else _told_apart(files, logs)
+
+
+def _told_apart(files: Sequence[Path | None], logs: Sequence[Log]) -> tuple[Log, ...]:
+    """The logs, with the folder in the names of those whose files are called the same."""
     stems = [file.stem for file in files if file is not None]
     return tuple(
         dataclasses.replace(log, name=f"{file.resolve().parent.name}/{file.stem}")

@@ -165,6 +165,18 @@ def test_any_table_reads_like_a_file(made, tmp_path):
     assert repr(log).startswith("Log 'lap': 2001 samples at 10000 Hz, 0 to ")
 
 
+def test_several_tables_read_like_one():
+    late = TABLE | {"Torque %": np.append(TABLE["Torque %"][1:], 0.0)}
+    mapped = {"columns": COLUMNS, "units": UNITS}
+    logs = dd.read_logs([TABLE, late], AXIS, **mapped, shifts={"late:command": 1}, names=["lap", "late"])
+    assert [log.name for log in logs] == ["lap", "late"]
+    np.testing.assert_allclose(logs[0].command, LOG.command, rtol=1e-12)
+    np.testing.assert_array_equal(logs[1].command, logs[0].command[1:])
+    assert [log.name for log in dd.read_logs([TABLE, late], AXIS, **mapped)] == ["log1", "log2"]
+    with pytest.raises(LogError, match="2 logs and 1 names; give one for each"):
+        dd.read_logs([TABLE, late], AXIS, **mapped, names=["lap"])
+
+
 @pytest.mark.parametrize(
     ("source", "says"),
     [
