@@ -5,7 +5,7 @@ import html
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import ClassVar, TypeVar
 
@@ -56,8 +56,7 @@ class Result(abc.ABC):
         kind = self.schema.split("/")[0]
         path = Path(folder) / f"{kind}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
-        status = {"ok": self.status.ok, "code": self.status.code, "message": self.status.message}
-        document = {"schema": self.schema, "status": status} | self.as_dict()
+        document = {"schema": self.schema, "status": asdict(self.status)} | self.as_dict()
         write_text(path, json.dumps(as_json(document), indent=2, allow_nan=False) + "\n")
         return path
 

@@ -42,6 +42,10 @@ class Run(Result):
         return f"{message}; tracking error {rms} RMS, {peak} peak over {self.time[-1] - self.time[0]:.4g} s"
 
     def as_dict(self) -> dict[str, object]:
+        """Duration, errors and largest command: what `save` writes.
+
+        The signals are written by `experiments.report`, as `run.csv`, and as a log by `write_log(path, run.log())`.
+        """
         return {
             "duration_s": float(self.time[-1] - self.time[0]),
             "rms_error_m": self.rms(),

@@ -1,5 +1,8 @@
 """The public interface: an axis simulated and differentiated, logs from any table, an effect of one's own."""
 
+import dataclasses
+import json
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -137,6 +140,10 @@ def test_a_result_is_saved_with_its_schema(tmp_path):
     path = dd.simulate(AXIS, LAP).save(tmp_path)
     assert path.name == "run.json"
     assert '"schema": "run/1"' in path.read_text()
+    diverged = dd.simulate(AXIS.with_gains(kp=1e12), LAP)
+    written = json.loads(diverged.save(tmp_path).read_text())
+    assert written["status"] == dataclasses.asdict(diverged.status)
+    assert written["status"]["signal"] == "tracking error"
 
 
 LOG = dd.simulate(AXIS, LAP).log("lap")
