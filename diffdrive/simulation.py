@@ -10,7 +10,7 @@ from diffdrive.axis import Axis
 from diffdrive.controllers.base import Reference
 from diffdrive.errors import ParameterError
 from diffdrive.loop import simulate as loop
-from diffdrive.loop.metrics import rms
+from diffdrive.loop.metrics import rms, window
 from diffdrive.loop.run import Run
 from diffdrive.model.parameters import Scalar, as_arrays
 from diffdrive.motion.motion import Motion
@@ -49,7 +49,7 @@ def simulate(
 
     Examples:
         >>> run = simulate(axis, motion.sine(amplitude=1e-3, frequency=10.0, duration=0.5, rate=axis.rate), load=8e3)
-        >>> run.status.ok, run.rms()
+        >>> run.status.ok, run.rms_error()
 
     """
     drive = _checked_machine(axis, machine).drive
@@ -64,9 +64,9 @@ class Rollout(eqx.Module):
 
     reference: Float[Array, " n"]  # m
     load: Float[Array, " n"]  # N
-    position: Float[Array, " n"]  # m, of the table
-    velocity: Float[Array, " n"]  # m/s
-    measured: Float[Array, " n"]  # m, as the scale reports it
+    measured: Float[Array, " n"]  # m, position as the scale reports it
+    table_position: Float[Array, " n"]  # m, true
+    velocity: Float[Array, " n"]  # m/s, true
     command: Float[Array, " n"]  # N, before the actuator
     force: Float[Array, " n"]  # N, after it
     friction: Float[Array, " n"]  # N
@@ -76,22 +76,26 @@ class Rollout(eqx.Module):
 
     @property
     def error(self) -> Float[Array, " n"]:
-        """Tracking error of the table, reference minus position (m)."""
-        return self.reference - self.position
+        """Tracking error of the table, reference minus true position (m)."""
+        return self.reference - self.table_position
 
-    def rms_error(self, start: float = 0.0) -> Scalar:
-        """Root mean square of the tracking error (m) from `start` (s) on; its gradient is never NaN."""
-        return rms(self.error[self._first(start) :])
+    def between(self, start: float, end: float) -> slice:
+        """The samples in [start, end] (s), none of them traced; raises `ParameterError` if there is none."""
+        return window(np.arange(len(self.reference)) / self.rate, start, end)
 
-    def peak_error(self, start: float = 0.0) -> Scalar:
-        """Largest tracking error (m) from `start` (s) on; its gradient is that of the worst sample."""
-        return jnp.max(jnp.abs(self.error[self._first(start) :]))
+    def rms_error(self, start: float = -np.inf, end: float = np.inf) -> Scalar:
+        """Root mean square tracking error (m) between `start` and `end` (s); its gradient is never NaN.
 
-    def _first(self, start: float) -> int:
-        first = round(start * self.rate)
-        if not 0 <= first < len(self.reference):
-            raise ParameterError(f"start: {start:g} s leaves nothing of {(len(self.reference) - 1) / self.rate:g} s")
-        return first
+        Raises `ParameterError` where no sample is.
+        """
+        return rms(self.error[self.between(start, end)])
+
+    def peak_error(self, start: float = -np.inf, end: float = np.inf) -> Scalar:
+        """Largest tracking error (m) between `start` and `end` (s); its gradient is that of the worst sample.
+
+        Raises `ParameterError` where no sample is.
+        """
+        return jnp.max(jnp.abs(self.error[self.between(start, end)]))
 
 
 def rollout(
@@ -139,9 +143,9 @@ def rollout(
     return Rollout(
         reference=position,
         load=loads,
-        position=frames.position,
-        velocity=frames.velocity,
         measured=frames.measured,
+        table_position=frames.position,
+        velocity=frames.velocity,
         command=frames.command,
         force=frames.force,
         friction=frames.friction,

@@ -4,7 +4,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Scalar
+
+
+def window(time: np.ndarray, start: float, end: float) -> slice:
+    """The samples of `time` (s, rising) in [`start`, `end`]; raises `ParameterError` if there is none."""
+    inside = np.flatnonzero((time >= start - 1e-9) & (time <= end + 1e-9))
+    if not len(inside):
+        raise ParameterError(f"no sample between {start:g} and {end:g} s: the run lasts {time[0]:g} to {time[-1]:g} s")
+    return slice(int(inside[0]), int(inside[-1]) + 1)
 
 
 def safe_sqrt(value: Scalar) -> Scalar:

@@ -9,6 +9,7 @@ from jaxtyping import PyTree
 
 from diffdrive.errors import DivergenceError
 from diffdrive.logs.log import Log
+from diffdrive.loop.metrics import window
 from diffdrive.motion.motion import Limits, Motion
 from diffdrive.results import Result, Status
 
@@ -23,7 +24,7 @@ class Run(Result):
     reference: np.ndarray  # m
     reference_velocity: np.ndarray  # m/s
     load: np.ndarray  # N
-    position: np.ndarray  # m, as the scale reports it
+    measured: np.ndarray  # m, position as the scale reports it
     table_position: np.ndarray  # m, true
     velocity: np.ndarray  # m/s, true
     command: np.ndarray  # N, before the actuator
@@ -37,7 +38,7 @@ class Run(Result):
     schema: ClassVar[str] = "run/1"
 
     def headline(self) -> str:
-        rms, peak = (f"{1e6 * value:.3g} µm" for value in (self.rms(), self.peak()))
+        rms, peak = (f"{1e6 * value:.3g} µm" for value in (self.rms_error(), self.peak_error()))
         message = self.status.message if self.status.ok else f"NOT OK: {self.status.message}"
         return f"{message}; tracking error {rms} RMS, {peak} peak over {self.time[-1] - self.time[0]:.4g} s"
 
@@ -48,8 +49,8 @@ class Run(Result):
         """
         return {
             "duration_s": float(self.time[-1] - self.time[0]),
-            "rms_error_m": self.rms(),
-            "peak_error_m": self.peak(),
+            "rms_error_m": self.rms_error(),
+            "peak_error_m": self.peak_error(),
             "peak_command_N": float(np.max(np.abs(self.command))),
         }
 
@@ -64,7 +65,7 @@ class Run(Result):
             reference=motion.position[samples],
             reference_velocity=motion.velocity[samples],
             load=load[samples],
-            position=np.asarray(frames.measured),
+            measured=np.asarray(frames.measured),
             table_position=np.asarray(frames.position),
             velocity=np.asarray(frames.velocity),
             command=np.asarray(frames.command),
@@ -79,26 +80,26 @@ class Run(Result):
         """Tracking error of the table, reference minus true position (m)."""
         return self.reference - self.table_position
 
-    def between(self, start: float, end: float) -> np.ndarray:
-        """A mask [n] of the samples in [start, end] (s); raises `ValueError` if there is none."""
-        inside = (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
-        if not inside.any():
-            raise ValueError(
-                f"no sample between {start:g} and {end:g} s: the run lasts {self.time[0]:g} to {self.time[-1]:g} s"
-            )
-        return inside
+    @property
+    def position(self) -> np.ndarray:
+        """`measured`, by the name that a log has for it (m)."""
+        return self.measured
 
-    def peak(self, start: float = -np.inf, end: float = np.inf) -> float:
-        """Largest tracking error between `start` and `end` (m)."""
+    def between(self, start: float, end: float) -> slice:
+        """The samples in [start, end] (s); raises `ParameterError` if there is none."""
+        return window(self.time, start, end)
+
+    def peak_error(self, start: float = -np.inf, end: float = np.inf) -> float:
+        """Largest tracking error (m) between `start` and `end` (s); raises `ParameterError` where no sample is."""
         return float(np.max(np.abs(self.error[self.between(start, end)])))
 
-    def rms(self, start: float = -np.inf, end: float = np.inf) -> float:
-        """Root mean square tracking error between `start` and `end` (m)."""
+    def rms_error(self, start: float = -np.inf, end: float = np.inf) -> float:
+        """Root mean square tracking error (m) between `start` and `end` (s); raises `ParameterError` as `between`."""
         return float(np.sqrt(np.mean(self.error[self.between(start, end)] ** 2)))
 
     def log(self, name: str = "run") -> Log:
         """The log that the machine itself would have written of this run."""
-        channels = (self.time, self.position, self.command)
+        channels = (self.time, self.measured, self.command)
         time, position, command = (np.asarray(signal, dtype=np.float64) for signal in channels)
         reference, load = (np.asarray(signal, dtype=np.float64) for signal in (self.reference, self.load))
         return Log(name, time=time, position=position, command=command, reference=reference, load=load)

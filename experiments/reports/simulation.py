@@ -75,8 +75,8 @@ def simulate_drive(
         if run.status.ok:
             report.keep(
                 "result",
-                peak_error_um=1e6 * run.peak(settle),
-                rms_error_um=1e6 * run.rms(settle),
+                peak_error_um=1e6 * run.peak_error(settle),
+                rms_error_um=1e6 * run.rms_error(settle),
                 peak_command_N=float(np.max(np.abs(run.command))),
                 command_noise_N=float(metrics.command_noise(run.command)),
                 from_s=settle,

@@ -85,7 +85,7 @@ def _simulate(report: Report, axis: Axis) -> None:
     rows = []
     for name, run in runs.items():
         published = paper.TABLE_1.get(name, (None, None))
-        rows.append([name, *published, 1e6 * run.peak(*paper.AFTER_LOAD), 1e6 * run.rms(*paper.AFTER_LOAD)])
+        rows.append([name, *published, 1e6 * run.peak_error(*paper.AFTER_LOAD), 1e6 * run.rms_error(*paper.AFTER_LOAD)])
     report.table(
         "table_1",
         ("controller", "paper peak", "paper RMS", "peak", "RMS"),

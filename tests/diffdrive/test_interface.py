@@ -75,8 +75,18 @@ def test_a_roll_out_is_the_simulation():
     run = dd.simulate(AXIS, LAP, load=2_000.0)
     same = dd.rollout(AXIS, LAP, load=2_000.0)
     np.testing.assert_array_equal(same.command, run.command)
-    assert float(same.rms_error()) == pytest.approx(run.rms(), rel=1e-12)
-    assert float(same.peak_error()) == pytest.approx(run.peak(), rel=1e-12)
+    for name in ("reference", "load", "measured", "table_position", "velocity", "force", "friction", "error"):
+        np.testing.assert_array_equal(getattr(same, name), getattr(run, name), err_msg=name)
+    assert run.position is run.measured  # as a log has it
+    for window in ((), (0.05,), (0.05, 0.15), (-1.0, 0.0)):
+        assert float(same.rms_error(*window)) == pytest.approx(run.rms_error(*window), rel=1e-12)
+        assert float(same.peak_error(*window)) == pytest.approx(run.peak_error(*window), rel=1e-12)
+    for one in (run, same):
+        for window in ((0.3,), (0.1, 0.05), (-2.0, -1.0), (float("nan"),)):
+            with pytest.raises(ParameterError, match=r"no sample between .* s: the run lasts 0 to 0\.2 s"):
+                one.rms_error(*window)
+            with pytest.raises(ParameterError, match="no sample between"):
+                one.peak_error(*window)
 
 
 BARE_PD = AXIS.with_controller(dd.controllers.PD(dd.controllers.Tracking(AXIS.controller.tracking.gains)))
@@ -302,6 +312,6 @@ def test_a_controller_of_ones_own_is_written_read_and_simulated(tmp_path):
         AXIS.with_controller(Damper(100.0)).write(tmp_path / "damped.toml")
         read = dd.read_axis(tmp_path / "damped.toml")
         assert read.controller == Damper(100.0)
-        assert np.max(np.abs(dd.rollout(read, LAP).position)) < 1e-9  # nobody asks it to move
+        assert np.max(np.abs(dd.rollout(read, LAP).table_position)) < 1e-9  # nobody asks it to move
     finally:
         del dd.controllers.KINDS["damper"]

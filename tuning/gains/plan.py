@@ -190,4 +190,4 @@ def run_scenario(
     if run.load_estimate is not None:
         missed = float(metrics.rms((run.load_estimate - run.load)[part]))
     noise = float(metrics.command_noise(run.command[part]))
-    return ScenarioResult(run, run.rms(settle), run.peak(settle), noise, missed)
+    return ScenarioResult(run, run.rms_error(settle), run.peak_error(settle), noise, missed)

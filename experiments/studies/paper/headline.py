@@ -39,7 +39,7 @@ def drawn(scenario: paper.PaperScenario, runs: dict[str, Run]) -> Figure:
     for panel, kinds in ((error_panel, list(KINDS)), (detail_panel, list(KINDS)[1:])):
         for kind in kinds:
             name, colour = KINDS[kind]
-            label = f"{name}: {1e6 * runs[kind].rms(*paper.AFTER_LOAD):.3g} um RMS"
+            label = f"{name}: {1e6 * runs[kind].rms_error(*paper.AFTER_LOAD):.3g} um RMS"
             panel.plot(time, 1e6 * runs[kind].error, colour, lw=0.8, label=label)
         panel.axvspan(*paper.AFTER_LOAD, color="k", alpha=0.08, lw=0)
     error_panel.set(ylabel="tracking error, um", ylim=(-15, 22))
@@ -54,7 +54,7 @@ def main(file: Path) -> None:
     scenario = paper.canonical()
     runs = simulated(scenario)
     for kind, run in runs.items():
-        rms, peak = 1e6 * run.rms(*paper.AFTER_LOAD), 1e6 * run.peak(*paper.AFTER_LOAD)
+        rms, peak = 1e6 * run.rms_error(*paper.AFTER_LOAD), 1e6 * run.peak_error(*paper.AFTER_LOAD)
         sys.stdout.write(f"{KINDS[kind][0]} ({kind}): {rms:.3g} um RMS, {peak:.3g} um peak\n")
     drawn(scenario, runs).savefig(file, dpi=120)
 

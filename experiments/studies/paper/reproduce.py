@@ -82,7 +82,7 @@ def table_1_rows(exact: dict[str, Run], quantised: dict[str, Run]) -> list[list[
             (quantised[name], paper.AFTER_LOAD),
             (run, paper.BEFORE_LOAD),
         ):
-            row += [1e6 * windowed.peak(*window), 1e6 * windowed.rms(*window)]
+            row += [1e6 * windowed.peak_error(*window), 1e6 * windowed.rms_error(*window)]
         rows.append(row)
     return rows
 

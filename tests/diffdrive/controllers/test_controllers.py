@@ -207,7 +207,7 @@ def test_switching_force_saturates_at_its_reach():
 def test_an_exact_friction_observer_cancels_friction():
     observer = KalmanObserver(IDEAL.plant, IDEAL.friction, load_estimator=FixedLoad(0.0))
     with_it, without = run_of(FrictionCompensation(TRACKING, observer)), run_of(PD(TRACKING))
-    assert with_it.peak() < 0.03 * without.peak()
+    assert with_it.peak_error() < 0.03 * without.peak_error()
     assert abs(with_it.error[SETTLED]) < 1e-6 * abs(without.error[SETTLED])
     assert with_it.friction_estimate[SETTLED] == pytest.approx(with_it.friction[SETTLED], rel=1e-6)
     assert with_it.load_estimate is None  # an assumed load is not an estimate
@@ -354,7 +354,7 @@ def test_smooth_keeps_the_result_where_there_is_no_quantiser(controller):
     exact = run_of(controller, LIMITED, load=load)
     near = run_of(smooth(controller), smooth(LIMITED), load=load)
     assert np.max(np.abs(near.table_position - exact.table_position)) < 0.02 * exact.peak()
-    assert near.rms() == pytest.approx(exact.rms(), rel=0.01)
+    assert near.rms_error() == pytest.approx(exact.rms_error(), rel=0.01)
     if exact.load_estimate is not None:
         assert near.load_estimate[SETTLED] == pytest.approx(exact.load_estimate[SETTLED], abs=100.0)
 
@@ -364,4 +364,4 @@ def test_smooth_keeps_the_printed_load_estimator_near():
     slow = {"load": 5e3}
     exact, near = run_of(LOAD_ESTIMATOR, **slow), run_of(smooth(LOAD_ESTIMATOR), **slow)
     assert near.load_estimate[SETTLED] == pytest.approx(exact.load_estimate[SETTLED], rel=0.05)
-    assert near.rms() == pytest.approx(exact.rms(), rel=0.1)
+    assert near.rms_error() == pytest.approx(exact.rms_error(), rel=0.1)

@@ -285,7 +285,7 @@ def test_a_stable_loop_is_ok_up_to_its_known_limit():
     run = simulate(DELAYED, pd(kd=20 * PAPER_KD), MOVE)  # 0.8 of the limit above
     assert run.status.ok
     assert run.require_ok() is run
-    assert run.peak() < 20e-6
+    assert run.peak_error() < 20e-6
 
 
 def test_an_axis_too_weak_for_its_friction_stands_still_within_its_limit():
@@ -293,7 +293,7 @@ def test_an_axis_too_weak_for_its_friction_stands_still_within_its_limit():
         run = simulate(having(lambda d: d.actuator, Actuator(force_limit=10.0)), pd(), MOVE)
     assert np.max(np.abs(run.force)) == 10.0
     assert np.max(np.abs(run.table_position)) < 1e-6  # the bristles give 10 N / 33.5 N/um
-    assert run.peak() == pytest.approx(2e-3, rel=1e-3)
+    assert run.peak_error() == pytest.approx(2e-3, rel=1e-3)
     assert not run.status.ok
     assert "saturated: the command exceeds the force limit of 10 N" in run.status.message
     with pytest.raises(ResultError, match="saturated") as caught:

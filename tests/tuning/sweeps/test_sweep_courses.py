@@ -57,8 +57,8 @@ def test_each_machine_has_the_errors_of_its_own_motion_under_its_own_load():
         there = parse_motion(f"sine:amplitude={amplitude!r},frequency=20,duration={duration!r}", RATE)
         load = parse_load(REMOVAL.replace("400kg", f"{workpiece!r}"), there.time)
         run = simulate(lane(drives, k), planned.axis.controller, there, load, sampling=planned.axis.sampling)
-        assert told["rms_m"][k] == pytest.approx(run.rms(0.01), rel=1e-3)  # a quantum may fall to the other side
-        assert told["peak_m"][k] == pytest.approx(run.peak(0.01), rel=1e-2)
+        assert told["rms_m"][k] == pytest.approx(run.rms_error(0.01), rel=1e-3)  # a quantum may fall to the other side
+        assert told["peak_m"][k] == pytest.approx(run.peak_error(0.01), rel=1e-2)
         assert not told["diverged"][k]
         lengths.add(len(there.time))
     assert len(lengths) == 4
