@@ -13,10 +13,11 @@ from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import ParameterError
 from diffdrive.support.messages import short_repr
+from diffdrive.support.registry import Registry
 
 EffectType = TypeVar("EffectType", bound=Effect)
 
-EFFECTS_BY_PART: dict[str, tuple[type[Effect], ...]] = {
+_BUILT_IN: dict[str, tuple[type[Effect], ...]] = {
     "friction": (
         AppliedLoad,
         FrictionShape,
@@ -32,9 +33,13 @@ EFFECTS_BY_PART: dict[str, tuple[type[Effect], ...]] = {
     "actuator": (Cogging, ForceGain, ActuatorLag, LoopDelay, ForceLimit),
     "sensor": (LeadError, InterpolationError),
 }
-EFFECTS: dict[str, type[Effect]] = {
-    effect.name: effect for part_effects in EFFECTS_BY_PART.values() for effect in part_effects
-}
+PARTS = tuple(_BUILT_IN)  # of a machine
+EFFECTS: Registry[type[Effect]] = Registry(
+    "effect",
+    {effect.name: effect for part_effects in _BUILT_IN.values() for effect in part_effects},
+    pattern=r"[^\W\d]\w*",
+    hint="a word, as it stands in a drive file",
+)
 """Every known effect by its name in a drive file."""
 
 
@@ -44,15 +49,15 @@ def register(effect: type[EffectType]) -> type[EffectType]:
     `simulate`, drive files, `sweep` and `diagnose` then treat it as they do those of the catalogue.
 
     Its `name` is that of its table in a drive file ([effects.NAME]), its `part` the part of the machine that it is
-    reported as, one of `EFFECTS_BY_PART`. Registering a class of the same name again replaces it. An effect is neutral,
-    and does nothing, at its defaults.
+    reported as, one of `PARTS`. A class of your own is replaced by one that is registered under its name. An effect is
+    neutral, and does nothing, at its defaults.
 
     Args:
         effect: A class derived from `TableForce` or another of the base classes.
 
     Raises:
-        ParameterError: The class has no name, an unknown part, a parameter that declares neither unit nor meaning, or
-            one without a default.
+        ParameterError: The class has no name, that of an effect of the catalogue, an unknown part, a parameter that
+            declares neither unit nor meaning, or one without a default.
 
     Examples:
         >>> @register
@@ -65,26 +70,24 @@ def register(effect: type[EffectType]) -> type[EffectType]:
 
     """
     name = getattr(effect, "name", None)
-    if not isinstance(name, str) or not name.isidentifier():
+    if not isinstance(name, str):
         raise ParameterError(f"{effect.__name__}.name: must be a word, as it stands in a drive file, got {name!r}")
-    if effect.part not in EFFECTS_BY_PART:
-        raise ParameterError(
-            f"effect {name}: no part '{effect.part}' of a machine; known: {', '.join(EFFECTS_BY_PART)}"
-        )
+    if effect.part not in PARTS:
+        raise ParameterError(f"effect {name}: no part '{effect.part}' of a machine; known: {', '.join(PARTS)}")
     for field in dataclasses.fields(effect):
         if "quantity" not in field.metadata:
             raise ParameterError(f"effect {name}: declare {field.name} with its unit and meaning, as by `amplitude`")
         if field.default is dataclasses.MISSING:
             raise ParameterError(f"effect {name}: {field.name} needs a default; with all of them it does nothing")
-    previous = EFFECTS.get(name)
-    if previous is not None and previous.__module__.startswith("diffdrive."):
-        raise ParameterError(f"effect {name}: the catalogue has one of this name; choose another")
-    for part, effects in EFFECTS_BY_PART.items():
-        EFFECTS_BY_PART[part] = tuple(member for member in effects if member is not previous)
-    EFFECTS_BY_PART[effect.part] = (*EFFECTS_BY_PART[effect.part], effect)
-    EFFECTS.pop(name, None)
-    EFFECTS[name] = effect
+    EFFECTS.add(name, effect)
     return effect
+
+
+def effects_by_part() -> dict[str, tuple[type[Effect], ...]]:
+    """Every known effect, by the part of the machine that it belongs to."""
+    built_in = [effect for effects in _BUILT_IN.values() for effect in effects]
+    own = [effect for effect in EFFECTS.values() if effect not in built_in]
+    return {part: (*effects, *(e for e in own if e.part == part)) for part, effects in _BUILT_IN.items()}
 
 
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:

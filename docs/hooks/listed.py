@@ -21,13 +21,13 @@ def listed(page: str) -> str:
 def _effects() -> dict[str, list[str]]:
     """Dotted names of the effects on each part of a machine; one that is not exported by that of its module."""
     from diffdrive import effects
-    from diffdrive.effects.catalogue import EFFECTS_BY_PART
+    from diffdrive.effects.catalogue import effects_by_part
 
     return {
         f"effect of {part}": [
             f"{effects.__name__ if one.__name__ in effects.__all__ else one.__module__}.{one.__name__}" for one in here
         ]
-        for part, here in EFFECTS_BY_PART.items()
+        for part, here in effects_by_part().items()
     }
 
 

@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 
 import diffdrive as dd
-from diffdrive.effects.catalogue import EFFECTS, EFFECTS_BY_PART
+from diffdrive.effects.catalogue import EFFECTS, effects_by_part
 from diffdrive.errors import DivergenceError, LogError, ParameterError
 from diffdrive.model.parameters import quantity
 from diffdrive.paper import example_controllers
@@ -225,8 +225,8 @@ def weakening():
             return self.force * (1.0 - seen.position / self.length)
 
     yield Weakening
-    del EFFECTS["weakening"]
-    EFFECTS_BY_PART["plant"] = tuple(one for one in EFFECTS_BY_PART["plant"] if one is not Weakening)
+    EFFECTS.remove("weakening")
+    assert effects_by_part()["plant"][-1] is dd.effects.PositionSpring
 
 
 def test_an_effect_of_ones_own_is_simulated_written_and_read(weakening, tmp_path):
@@ -242,6 +242,17 @@ def test_an_effect_of_ones_own_is_simulated_written_and_read(weakening, tmp_path
     np.testing.assert_array_equal(dd.simulate(neutral, LAP).position, dd.simulate(AXIS, LAP).position)
 
 
+def test_an_effect_of_ones_own_is_replaced_by_what_has_its_name(weakening):
+    class Stronger(weakening):
+        part = "environment"
+
+    dd.effects.register(Stronger)
+    assert EFFECTS["weakening"] is Stronger
+    assert list(EFFECTS)[-1] == "weakening"
+    assert effects_by_part()["environment"][-1] is Stronger
+    assert weakening not in effects_by_part()["plant"]
+
+
 def test_an_effect_that_is_not_whole_is_refused():
     class Nameless(dd.effects.TableForce):
         def push(self, seen):
@@ -254,12 +265,16 @@ def test_an_effect_that_is_not_whole_is_refused():
     class Cogging(Nameless):
         name = "cogging"
 
+    class Spaced(Nameless):
+        name = "two words"
+
     class Elsewhere(Nameless):
         name, part = "elsewhere", "moon"
 
     for effect, says in (
         (Nameless, "name: must be a word"), (Bare, "declare force with its unit"),
-        (Cogging, "the catalogue has one of this name"), (Elsewhere, "no part 'moon' of a machine"),
+        (Cogging, "effect 'cogging': there is one of this name"),
+        (Spaced, "its name must be a word"), (Elsewhere, "no part 'moon' of a machine"),
     ):  # fmt: skip
         with pytest.raises(ParameterError, match=says):
             dd.effects.register(effect)
@@ -306,12 +321,13 @@ def test_a_controller_of_ones_own_is_written_read_and_simulated(tmp_path):
         (dd.controllers.Keys("controller", Damper),),
     )  # fmt: skip
     dd.controllers.register(kind)
+    dd.controllers.register(kind)  # as a cell of a notebook that runs again
+    with pytest.raises(ParameterError, match="controller kind 'pd': there is one of this name"):
+        dd.controllers.register(dataclasses.replace(kind, name="pd"))
     try:
-        with pytest.raises(ParameterError, match="there is one of this name"):
-            dd.controllers.register(kind)
         AXIS.with_controller(Damper(100.0)).write(tmp_path / "damped.toml")
         read = dd.read_axis(tmp_path / "damped.toml")
         assert read.controller == Damper(100.0)
         assert np.max(np.abs(dd.rollout(read, LAP).table_position)) < 1e-9  # nobody asks it to move
     finally:
-        del dd.controllers.KINDS["damper"]
+        dd.controllers.KINDS.remove("damper")

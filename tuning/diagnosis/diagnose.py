@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from scipy.stats import chi2
 
 from diffdrive.controllers import Controller, UnknownController
-from diffdrive.effects.catalogue import EFFECTS, EFFECTS_BY_PART
+from diffdrive.effects.catalogue import EFFECTS, effects_by_part
 from diffdrive.effects.scale import LeadError
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
@@ -221,7 +221,7 @@ def _subsystems(found: Explanation, unexplained: float) -> list[Region]:
     gains = {candidate.name: gain for candidate, gain in told}
     freedom = {candidate.name: max(len(candidate.parameters), 1) for candidate, _ in told}
     regions = []
-    for place, effects in EFFECTS_BY_PART.items():
+    for place, effects in effects_by_part().items():
         here = [(gains[effect.name], effect.name) for effect in effects if effect.name in gains]
         if not here:
             continue

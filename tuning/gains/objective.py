@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from diffdrive.errors import ParameterError
 from diffdrive.loop.metrics import safe_sqrt
 from diffdrive.model.parameters import Scalar
+from diffdrive.support.registry import Registry
 from tuning.gains.scenarios import EnsembleSignals
 
 PEAK_NORM = 16  # the p-norm that stands for the largest
@@ -29,8 +30,6 @@ Lanes = Float[Array, " lanes"]
 
 Aggregation = Callable[[Lanes], Scalar]
 
-AGGREGATIONS: dict[str, Aggregation] = {}
-
 
 def register_aggregation(name: str) -> Callable[[Aggregation], Aggregation]:
     """Make a way from the costs of the scenarios to one number known to `Objective` and to `diffdrive tune`.
@@ -40,7 +39,10 @@ def register_aggregation(name: str) -> Callable[[Aggregation], Aggregation]:
 
     Returns:
         A decorator of a function from the costs, one per scenario, to their scalar; it must be differentiable by JAX
-        and must not fall where a cost grows.
+        and must not fall where a cost grows. One of your own is replaced by one that is registered under its name.
+
+    Raises:
+        ParameterError: The name is that of an aggregation that the package has.
 
     Examples:
         >>> @tuning.register_aggregation("sum of squares")
@@ -50,30 +52,30 @@ def register_aggregation(name: str) -> Callable[[Aggregation], Aggregation]:
     """
 
     def register(aggregation: Aggregation) -> Aggregation:
-        AGGREGATIONS[name] = aggregation
+        AGGREGATIONS.add(name, aggregation)
         return aggregation
 
     return register
 
 
-@register_aggregation("mean")
 def mean(costs: Lanes) -> Scalar:
     """The mean over the lanes."""
     return jnp.mean(costs)
 
 
-@register_aggregation("worst")
 def worst(costs: Lanes) -> Scalar:
     """A smooth maximum over the lanes."""
     scale = jnp.mean(costs) / MAXIMUM_SHARPNESS + TINY
     return scale * jax.nn.logsumexp(costs / scale)
 
 
-@register_aggregation("cvar")
 def cvar(costs: Lanes) -> Scalar:
     """The mean of the worst quarter of the lanes, at least one (conditional value at risk)."""
     count = max(1, round(TAIL * len(costs)))
     return jnp.mean(lax.top_k(costs, count)[0])
+
+
+AGGREGATIONS: Registry[Aggregation] = Registry("aggregation", {"mean": mean, "worst": worst, "cvar": cvar})
 
 
 class Objective(NamedTuple):

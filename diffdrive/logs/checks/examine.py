@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from diffdrive.axis import Axis
+from diffdrive.errors import ParameterError
 from diffdrive.logs.checks import (
     balance,
     bursts,
@@ -26,19 +27,22 @@ from diffdrive.logs.checks import (
 from diffdrive.logs.checks.finding import SEVERITIES, Finding
 from diffdrive.logs.checks.repair import Repair
 from diffdrive.logs.log import Log, Signal
+from diffdrive.support.messages import short_repr
+from diffdrive.support.registry import Registry
 
 __all__ = ["Finding", "examine", "examine_together", "register"]
 
 Check = Callable[[Log, Axis | None], Iterable[Finding]]
 
-_REGISTERED: list[Check] = []
+_REGISTERED: Registry[Check] = Registry("check of logs")
 
 
 def register(check: Check) -> Check:
     """Make a check of one's own known to `examine`, and so to `check`, `identify` and `diagnose`: a decorator.
 
     The function gets a readable `Log` in SI units and the `Axis`, None where no drive file is given, and yields a
-    `Finding` for each trap that it sees.
+    `Finding` for each trap that it sees. A check is known by its module and name, and replaced by one of the same.
+    Raises `ParameterError` for what has no name: a lambda, or a `partial`.
 
     Examples:
         >>> @register
@@ -47,7 +51,10 @@ def register(check: Check) -> Check:
         ...         yield Finding("note", "time", f"the log lasts {log.duration:.2g} s", "record a lap", "motion")
 
     """
-    _REGISTERED.append(check)
+    name = getattr(check, "__qualname__", "")
+    if not name or name.endswith("<lambda>"):
+        raise ParameterError(f"check of logs {short_repr(check)}: must be a function with a name: `def` it")
+    _REGISTERED.add(f"{check.__module__}.{name}", check)
     return check
 
 
@@ -233,7 +240,7 @@ def _other_findings(log: Log, axis: Axis | None, controller_command: Signal | No
         derived.feedforward(log),
         motion.variety(log),
         motion.begins_in_motion(log),
-        *(check(log, axis) for check in _REGISTERED),
+        *(check(log, axis) for check in _REGISTERED.values()),
     ]
     return [finding for check in checks for finding in check]
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from diffdrive.logs.formats.table import Table
+from diffdrive.support.registry import Registry
 
 Reader = Callable[[Path], Table]
 
@@ -27,17 +28,24 @@ def _parquet(path: Path) -> Table:
 
 
 # each imports its library only when a file needs it: they take longer than the rest of diffdrive
-READERS: dict[str, Reader] = {
-    ".csv": _csv, ".tsv": _csv, ".txt": _csv, ".dat": _csv, ".asc": _csv, ".mat": _mat,
-    ".parquet": _parquet, ".pq": _parquet,
-}  # fmt: skip
+READERS: Registry[Reader] = Registry(
+    "log format",
+    {
+        ".csv": _csv, ".tsv": _csv, ".txt": _csv, ".dat": _csv, ".asc": _csv, ".mat": _mat,
+        ".parquet": _parquet, ".pq": _parquet,
+    },
+    pattern=r"\.[^\s./\\]+",
+    hint="the last extension of a file with its dot, such as '.trc'",
+)  # fmt: skip
 
 
 def register(*extensions: str) -> Callable[[Reader], Reader]:
     """Make a reader of files with these extensions known, as a decorator of a function from a path to a `Table`.
 
     It raises `LogError`, one line that names the file and the remedy, for a file that it cannot read. What the columns
-    mean, their units and the clock are worked out from the table as for every format.
+    mean, their units and the clock are worked out from the table as for every format. A reader of your own is replaced
+    by one that is registered for its extension. Raises `ParameterError` for an extension that the package reads, or
+    that is none.
 
     Examples:
         >>> @register(".trc")
@@ -49,7 +57,7 @@ def register(*extensions: str) -> Callable[[Reader], Reader]:
 
     def add(reader: Reader) -> Reader:
         for extension in extensions:
-            READERS[extension.lower()] = reader
+            READERS.add(extension.lower() if isinstance(extension, str) else extension, reader)
         return reader
 
     return add

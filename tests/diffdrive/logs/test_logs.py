@@ -19,7 +19,7 @@ from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import axis_tables, parse_axis, read_axis, write_axis
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
-from diffdrive.errors import DriveFileError, LogError
+from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs import ColumnMapping, Log, read_log, read_logs, write_log
 from diffdrive.logs.formats import registry
 from diffdrive.logs.formats.table import Table
@@ -366,18 +366,37 @@ def test_bench_logs_are_read_as_they_are(case, tmp_path):
         assert_same(read_log(tmp_path / path.name), log)
 
 
-def test_a_format_of_ones_own_is_read_like_any_other(tmp_path, monkeypatch):
-    monkeypatch.setattr(registry, "READERS", dict(registry.READERS))
-    monkeypatch.setattr("diffdrive.logs.read.READERS", registry.READERS)
+@pytest.fixture
+def read_trace():
+    """A registered reader, gone again afterwards."""
 
     @registry.register(".trc")
     def read_trace(path):
         values = np.loadtxt(path)
         return Table(str(path), {"time": values[:, 0], "position": values[:, 1], "command": values[:, 2]})
 
+    yield read_trace
+    registry.READERS.remove(".trc")
+
+
+def test_a_format_of_ones_own_is_read_like_any_other(read_trace, tmp_path):
     time = np.arange(400) / 1000.0
     rows = np.stack([time, 1e3 * np.sin(time), np.cos(time)], axis=1)
     np.savetxt(tmp_path / "lap.trc", rows)
     log = read_log(tmp_path / "lap.trc", units={"position": "mm"})
     np.testing.assert_allclose(log.position, np.sin(time), atol=1e-12)
     assert log.name == "lap"
+
+
+@pytest.mark.parametrize(
+    ("extension", "says"),
+    [
+        ("trc", r"log format 'trc': its name must be the last extension of a file with its dot, such as '\.trc'"),
+        (".tar.gz", r"log format '\.tar\.gz': its name must be the last extension"),
+        (".CSV", r"log format '\.csv': there is one of this name"),
+        (None, r"log format None: its name must be"),
+    ],
+)
+def test_an_extension_that_no_file_would_be_read_by_is_refused(extension, says):
+    with pytest.raises(ParameterError, match=says):
+        registry.register(extension)(lambda path: Table(str(path), {}))

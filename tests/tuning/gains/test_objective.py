@@ -8,14 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tuning
-import tuning.gains.objective as objective_module
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Sampling, as_arrays
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.builders import triangular
 from tests.support.small_tuning import MOTION, SAMPLING, controller, drive, lanes, scenarios
-from tuning.gains.objective import AGGREGATIONS, Objective, peak, rms
+from tuning.gains.objective import AGGREGATIONS, Objective, mean, peak, rms
 from tuning.gains.scenarios import EnsembleSignals, Scenario, ensemble
 
 
@@ -77,17 +76,29 @@ def test_a_signal_of_zeros_has_no_weight_and_no_nan():
     assert not np.any(weights.error)
 
 
-def test_an_aggregation_of_ones_own_weighs_the_squares_by_its_gradient(monkeypatch):
-    monkeypatch.setattr(objective_module, "AGGREGATIONS", dict(AGGREGATIONS))
+@pytest.fixture
+def sum_of_squares():
+    """A registered aggregation, gone again afterwards."""
 
     @tuning.register_aggregation("sum of squares")
     def sum_of_squares(costs):
         return jnp.sum(costs**2)
 
+    yield sum_of_squares
+    AGGREGATIONS.remove("sum of squares")
+
+
+def test_an_aggregation_of_ones_own_weighs_the_squares_by_its_gradient(sum_of_squares):
     objective, signals = Objective(aggregation="sum of squares"), made_up(4)
     costs = np.sqrt(np.mean((1e6 * np.asarray(signals.error)) ** 2, axis=1))
     assert float(objective(signals)) == pytest.approx(np.sum(costs**2))
     test_the_weighed_squares_have_the_gradient_of_the_objective(objective)
+
+
+def test_the_packages_aggregations_are_not_replaced():
+    with pytest.raises(ParameterError, match="aggregation 'mean': there is one of this name"):
+        tuning.register_aggregation("mean")(jnp.max)
+    assert AGGREGATIONS["mean"] is mean
 
 
 def test_an_unknown_aggregation_is_refused_with_those_that_there_are():
