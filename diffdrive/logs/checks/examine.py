@@ -30,14 +30,14 @@ from diffdrive.logs.log import Log, Signal
 from diffdrive.support.messages import short_repr
 from diffdrive.support.registry import Registry
 
-__all__ = ["Finding", "examine", "examine_together", "register"]
+__all__ = ["Finding", "examine", "examine_together", "register_check"]
 
 Check = Callable[[Log, Axis | None], Iterable[Finding]]
 
 _REGISTERED: Registry[Check] = Registry("check of logs")
 
 
-def register(check: Check) -> Check:
+def register_check(check: Check) -> Check:
     """Make a check of one's own known to `examine`, and so to `check`, `identify` and `diagnose`: a decorator.
 
     The function gets a readable `Log` in SI units and the `Axis`, None where no drive file is given, and yields a
@@ -45,7 +45,7 @@ def register(check: Check) -> Check:
     Raises `ParameterError` for what has no name: a lambda, or a `partial`.
 
     Examples:
-        >>> @register
+        >>> @register_check
         ... def short(log, axis):
         ...     if log.duration < 1.0:
         ...         yield Finding("note", "time", f"the log lasts {log.duration:.2g} s", "record a lap", "motion")

@@ -39,7 +39,7 @@ READERS: Registry[Reader] = Registry(
 )  # fmt: skip
 
 
-def register(*extensions: str) -> Callable[[Reader], Reader]:
+def register_format(*extensions: str) -> Callable[[Reader], Reader]:
     """Make a reader of files with these extensions known, as a decorator of a function from a path to a `Table`.
 
     It raises `LogError`, one line that names the file and the remedy, for a file that it cannot read. What the columns
@@ -48,7 +48,7 @@ def register(*extensions: str) -> Callable[[Reader], Reader]:
     that is none.
 
     Examples:
-        >>> @register(".trc")
+        >>> @register_format(".trc")
         ... def read_trace(path):
         ...     values = numpy.loadtxt(path)
         ...     return Table(str(path), {"time": values[:, 0], "position": values[:, 1], "command": values[:, 2]})

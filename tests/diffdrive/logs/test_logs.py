@@ -370,7 +370,7 @@ def test_bench_logs_are_read_as_they_are(case, tmp_path):
 def read_trace():
     """A registered reader, gone again afterwards."""
 
-    @registry.register(".trc")
+    @registry.register_format(".trc")
     def read_trace(path):
         values = np.loadtxt(path)
         return Table(str(path), {"time": values[:, 0], "position": values[:, 1], "command": values[:, 2]})
@@ -399,4 +399,4 @@ def test_a_format_of_ones_own_is_read_like_any_other(read_trace, tmp_path):
 )
 def test_an_extension_that_no_file_would_be_read_by_is_refused(extension, says):
     with pytest.raises(ParameterError, match=says):
-        registry.register(extension)(lambda path: Table(str(path), {}))
+        registry.register_format(extension)(lambda path: Table(str(path), {}))

@@ -20,7 +20,7 @@ def _no_others(monkeypatch):
 
 
 def register_warm(severity):
-    @checks.register
+    @checks.register_check
     def warm(log, axis):
         if axis is not None and log.temperature is not None and log.temperature.max() > 60.0:
             yield Finding(severity, "temperature", "the motor is hotter than 60 degrees", "let it cool", "range")
@@ -42,4 +42,4 @@ def test_a_check_that_is_defined_again_is_asked_once():
 @pytest.mark.parametrize("check", [lambda log, axis: (), partial(max, 1)])
 def test_a_check_without_a_name_is_refused(check):
     with pytest.raises(ParameterError, match="must be a function with a name"):
-        checks.register(check)
+        checks.register_check(check)
