@@ -19,6 +19,7 @@ from diffdrive.controllers.friction_compensation import FrictionCompensation
 from diffdrive.controllers.kinds import Keys, Kind, Option
 from diffdrive.controllers.pd import PD
 from diffdrive.controllers.unknown import UnknownController
+from diffdrive.model.parameters import quantity, quantity_table
 
 __all__ = [
     "DOBVSC",
@@ -40,5 +41,7 @@ __all__ = [
     "Tracking",
     "Tunable",
     "UnknownController",
+    "quantity",
+    "quantity_table",
     "register",
 ]

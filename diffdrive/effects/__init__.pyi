@@ -1,5 +1,18 @@
 from .actuator import ActuatorLag, ForceGain, ForceLimit, LoopDelay
-from .base import Acts, ActuatorEffect, Effect, MachineEffect, ScaleEffect, Seen, TableEffect, TableForce
+from .base import (
+    Acts,
+    ActuatorEffect,
+    Effect,
+    Envelope,
+    MachineEffect,
+    Push,
+    ScaleEffect,
+    Seen,
+    Stage,
+    StepOrder,
+    TableEffect,
+    TableForce,
+)
 from .catalogue import EFFECTS, register
 from .forces import Cogging, ConstantForce, FrameVibration, PositionSpring, ProcessForce
 from .friction import AppliedLoad, FrictionDwell, PositionFriction, PreslidingHysteresis, ViscousDrift
@@ -19,6 +32,7 @@ __all__ = [
     "Compliance",
     "ConstantForce",
     "Effect",
+    "Envelope",
     "ForceGain",
     "ForceLimit",
     "FrameVibration",
@@ -34,8 +48,11 @@ __all__ = [
     "PositionSpring",
     "PreslidingHysteresis",
     "ProcessForce",
+    "Push",
     "ScaleEffect",
     "Seen",
+    "Stage",
+    "StepOrder",
     "TableEffect",
     "TableForce",
     "ViscousDrift",

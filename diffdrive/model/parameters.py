@@ -125,8 +125,24 @@ def quantity(
 ) -> Any:
     """Declare a parameter field: its unit, meaning and range.
 
-    `above` and `below` are exclusive, `at_least` and `at_most` inclusive. A quantity may be None if its default is None
-    or if it is `optional`.
+    `above` and `below` are exclusive, `at_least` and `at_most` inclusive, in the unit. A quantity may be None if its
+    default is None or if it is `optional`. Drive files, sweeps and reports know a parameter by its declaration.
+
+    Args:
+        unit: Such as "N*s/m"; "1" for a ratio.
+        meaning: What it is, in a few words.
+        above: The largest value that is too small.
+        at_least: The smallest value.
+        below: The smallest value that is too large.
+        at_most: The largest value.
+        per_direction: Whether it may differ between the directions of motion: one number, or a pair.
+        default: Its value where a file does not state it; without one, a file must.
+        optional: Whether it may be None.
+
+    Examples:
+        >>> class Damper(Controller):
+        ...     damping: float = quantity("N*s/m", "damping", at_least=0.0)
+
     """
     optional = optional or default is None
     meta = {"quantity": Quantity(unit, meaning, above, at_least, below, at_most, per_direction, optional)}
