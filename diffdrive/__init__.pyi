@@ -1,4 +1,4 @@
-from . import controllers, effects, motion
+from . import controllers, effects, logs, motion
 from .axis import Axis
 from .axis_file.drive_file import read_axis
 from .logs.log import Log
@@ -18,6 +18,7 @@ __all__ = [
     "controllers",
     "effects",
     "load",
+    "logs",
     "motion",
     "paper_axis",
     "read_axis",

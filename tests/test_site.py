@@ -14,7 +14,8 @@ import tuning
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 FACADES = [
-    diffdrive, diffdrive.motion, diffdrive.load, diffdrive.effects, diffdrive.controllers, tuning, experiments,
+    diffdrive, diffdrive.motion, diffdrive.load, diffdrive.effects, diffdrive.controllers, diffdrive.logs,
+    tuning, experiments,
 ]  # fmt: skip
 ENTRY = re.compile(r"^::: ([\w.]+)$", re.M)
 

@@ -14,7 +14,6 @@ import pytest
 import diffdrive as dd
 from diffdrive.effects.catalogue import EFFECTS, effects_by_part
 from diffdrive.errors import DivergenceError, LogError, ParameterError
-from diffdrive.model.parameters import quantity
 from diffdrive.paper import example_controllers
 
 AXIS = dd.paper_axis()
@@ -301,7 +300,7 @@ def test_a_controller_of_ones_own_is_written_read_and_simulated(tmp_path):
     class Damper(dd.controllers.Controller):
         """u = -c v, of a velocity by backward difference."""
 
-        damping: float = quantity("N*s/m", "damping", at_least=0.0)
+        damping: float = dd.controllers.quantity("N*s/m", "damping", at_least=0.0)
 
         @property
         def kind(self):

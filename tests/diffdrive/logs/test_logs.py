@@ -20,9 +20,8 @@ from diffdrive.axis_file.drive_file import axis_tables, parse_axis, read_axis, w
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.errors import DriveFileError, LogError, ParameterError
-from diffdrive.logs import ColumnMapping, Log, read_log, read_logs, write_log
+from diffdrive.logs import ColumnMapping, Log, Table, read_log, read_logs, register_format, write_log
 from diffdrive.logs.formats import registry
-from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import CHANNELS
 from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Sampling
@@ -370,7 +369,7 @@ def test_bench_logs_are_read_as_they_are(case, tmp_path):
 def read_trace():
     """A registered reader, gone again afterwards."""
 
-    @registry.register_format(".trc")
+    @register_format(".trc")
     def read_trace(path):
         values = np.loadtxt(path)
         return Table(str(path), {"time": values[:, 0], "position": values[:, 1], "command": values[:, 2]})
@@ -399,4 +398,4 @@ def test_a_format_of_ones_own_is_read_like_any_other(read_trace, tmp_path):
 )
 def test_an_extension_that_no_file_would_be_read_by_is_refused(extension, says):
     with pytest.raises(ParameterError, match=says):
-        registry.register_format(extension)(lambda path: Table(str(path), {}))
+        register_format(extension)(lambda path: Table(str(path), {}))

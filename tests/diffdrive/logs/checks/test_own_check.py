@@ -6,8 +6,8 @@ from functools import partial
 import pytest
 
 from diffdrive.errors import ParameterError
+from diffdrive.logs import Finding, register_check
 from diffdrive.logs.checks import examine as checks
-from diffdrive.logs.checks.finding import Finding
 from diffdrive.support.registry import Registry
 from tests.support.sound_log import DRIVE, SOUND
 
@@ -20,7 +20,7 @@ def _no_others(monkeypatch):
 
 
 def register_warm(severity):
-    @checks.register_check
+    @register_check
     def warm(log, axis):
         if axis is not None and log.temperature is not None and log.temperature.max() > 60.0:
             yield Finding(severity, "temperature", "the motor is hotter than 60 degrees", "let it cool", "range")
@@ -42,4 +42,4 @@ def test_a_check_that_is_defined_again_is_asked_once():
 @pytest.mark.parametrize("check", [lambda log, axis: (), partial(max, 1)])
 def test_a_check_without_a_name_is_refused(check):
     with pytest.raises(ParameterError, match="must be a function with a name"):
-        checks.register_check(check)
+        register_check(check)
