@@ -1,6 +1,7 @@
 from . import controllers, effects, logs, motion
 from .axis import Axis
 from .axis_file.drive_file import read_axis
+from .linearisation import LinearLoop, StabilityMargins, linearise
 from .logs.log import Log
 from .logs.read import read_log, read_logs
 from .loop.run import Run
@@ -11,12 +12,15 @@ from .simulation import Rollout, rollout, simulate
 
 __all__ = [
     "Axis",
+    "LinearLoop",
     "Log",
     "Rollout",
     "Run",
+    "StabilityMargins",
     "configure",
     "controllers",
     "effects",
+    "linearise",
     "load",
     "logs",
     "motion",

@@ -52,7 +52,7 @@ def simulate(
         >>> run.status.ok, run.rms_error()
 
     """
-    drive = _checked_machine(axis, machine).drive
+    drive = checked_machine(axis, machine).drive
     run = loop.simulate(
         drive, axis.controller, motion, load, sampling=axis.sampling, limits=axis.limits, seed=seed, every=every
     )
@@ -128,7 +128,7 @@ def rollout(
         >>> jax.grad(error)(axis.gains["kp"], 8e3)
 
     """
-    drive = _checked_machine(axis, machine).drive
+    drive = checked_machine(axis, machine).drive
     if not is_same_rate(motion.rate, axis.rate):
         raise ParameterError(
             f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {axis.rate:g} Hz: make them equal"
@@ -155,7 +155,8 @@ def rollout(
     )
 
 
-def _checked_machine(axis: Axis, machine: Axis | None) -> Axis:
+def checked_machine(axis: Axis, machine: Axis | None) -> Axis:
+    """The axis whose drive moves: `machine`, or the axis itself; raises `ParameterError` for another rate."""
     if machine is None:
         return axis
     if not is_same_rate(machine.rate, axis.rate):

@@ -57,7 +57,7 @@ LAYERS = (
     ("controllers",),
     ("loop",),
     ("axis",),
-    ("axis_file", "paper", "simulation", "motion.text", "motion.reference", "logs.checks"),
+    ("axis_file", "paper", "simulation", "linearisation", "motion.text", "motion.reference", "logs.checks"),
 )
 UPWARDS = {  # the imports that may go the other way: of a type alone, or where a method is called
     "diffdrive.model.parameters.Scalar": "diffdrive.numerics",
