@@ -353,7 +353,7 @@ def test_smooth_keeps_the_result_where_there_is_no_quantiser(controller):
     load = np.where(MOVE.time < 0.2, 2e3, 6e3)
     exact = run_of(controller, LIMITED, load=load)
     near = run_of(smooth(controller), smooth(LIMITED), load=load)
-    assert np.max(np.abs(near.table_position - exact.table_position)) < 0.02 * exact.peak()
+    assert np.max(np.abs(near.table_position - exact.table_position)) < 0.02 * exact.peak_error()
     assert near.rms_error() == pytest.approx(exact.rms_error(), rel=0.01)
     if exact.load_estimate is not None:
         assert near.load_estimate[SETTLED] == pytest.approx(exact.load_estimate[SETTLED], abs=100.0)

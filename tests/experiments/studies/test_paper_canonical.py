@@ -47,7 +47,7 @@ def quantised():
 
 
 def figures(run, window):
-    return 1e6 * np.array([run.peak(*window), run.rms(*window)])
+    return 1e6 * np.array([run.peak_error(*window), run.rms_error(*window)])
 
 
 def load_at(run, times):
