@@ -93,7 +93,7 @@ Loads = Annotated[
     list[str] | None,
     typer.Option(
         "--load",
-        help="LOG=FORCE: the load on the table in a log without a column for it: `lap2.csv=8kN`; repeatable.",
+        help="LOG=FORCE: the load (normal to the guides) in a log without a column for it: `lap2.csv=8kN`; repeatable.",
     ),
 ]
 Machine = Annotated[
