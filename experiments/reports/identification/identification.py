@@ -189,7 +189,7 @@ def _estimate(one: ParameterEstimate) -> list[object]:
 
 def _hardly_determined(found: Identification) -> list[str]:
     """Which fitted parameters the logs say little of, and what each hangs together with."""
-    notes = []
+    notes, alone = [], []
     for one in found.estimates:
         half = 0.5 * (one.high - one.low)
         as_believed = one.believed == 0.0 and one.low <= 0.0 <= one.high  # nothing is odd about a zero
@@ -201,16 +201,17 @@ def _hardly_determined(found: Identification) -> list[str]:
             for mine, other in ((a, b), (b, a))
             if _named(mine) == one.name
         ]
-        if one.low < 0.0 < one.high:
-            text = f"{one.name}: the logs do not distinguish it from 0"
+        wide = "not distinguished from 0" if one.low < 0.0 < one.high else f"± {100.0 * half / abs(one.value):.0f} %"
+        if tied:
+            other = _named(max(tied)[1])
+            notes.append(f"- {one.name}: hardly determined ({wide}): the logs hardly distinguish it from {other}.")
         else:
-            text = f"{one.name}: hardly determined (± {100.0 * half / abs(one.value):.0f} %)"
-        because = (
-            f": the logs hardly distinguish it from {_named(max(tied)[1])}"
-            if tied
-            else ": the log excites it little, or what the model does not explain widens its interval"
+            alone.append(f"{one.name} ({wide})")
+    if alone:
+        notes.append(
+            f"- Hardly determined: {', '.join(alone)}. The log excites each of them little, or what the model does not "
+            "explain widens its interval."
         )
-        notes.append(f"- {text}{because}.")
     return notes
 
 
@@ -228,7 +229,7 @@ def print_remarks(report: Report, found: Identification) -> None:
     report.print(
         f"Fit: position noise {readable.significant(1e9 * found.noise)} nm, process noise "
         f"{readable.significant(found.process_force)} N per control period, condition number "
-        f"{readable.significant(condition, 2)}, {blocks} blocks for the intervals"
+        f"{readable.significant(float(f'{condition:.2g}'))}, {blocks} blocks for the intervals"
     )
     report.keep("adequacy", structured=found.adequacy.has_structure, **found.adequacy._asdict())  # said in words
     report.keep("starts", cost_over_best=[round(float(cost), 4) for cost in found.start_costs])
@@ -262,7 +263,13 @@ def _next_motions(report: Report, result: IdentificationResult) -> None:
     if not offers:
         return
     rows = [
-        [_named(one.parameter), one.unit, _finite(one.before), _finite(one.after), one.motion or "none of those tried"]
+        [
+            _named(one.parameter),
+            readable.unit_of(one.unit),
+            _finite(one.before),
+            _finite(one.after),
+            one.motion or "none of those tried",
+        ]
         for one in offers
     ]
     report.table(

@@ -69,6 +69,9 @@ def test_a_wide_interval_gets_a_note_unless_the_file_says_zero():
         ParameterEstimate("constant_force", "N", 0.0, 0.1, -0.3, 0.5, -9.0, 9.0, "fitted"),
         ParameterEstimate("mass", "kg", 100.0, 90.0, 70.0, 110.0, 3.0, 3e3, "fitted"),
     ]
-    notes = _hardly_determined(SimpleNamespace(estimates=rows, correlated=[]))
-    assert ["bristle_damping" in notes[0], "mass" in notes[1]] == [True, True]
-    assert len(notes) == 2
+    (alone,) = _hardly_determined(SimpleNamespace(estimates=rows, correlated=[]))
+    assert "bristle_damping (not distinguished from 0), mass (± 22 %)" in alone
+    assert "constant_force" not in alone
+    tied, alone = _hardly_determined(SimpleNamespace(estimates=rows, correlated=[("mass", "constant_force", -0.97)]))
+    assert "mass: hardly determined (± 22 %): the logs hardly distinguish it from constant_force" in tied
+    assert "mass" not in alone
