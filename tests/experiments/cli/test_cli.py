@@ -283,7 +283,7 @@ def test_a_folder_that_cannot_be_written_to_is_named_before_anything_is_computed
     computed = []
     for name in (
         "experiments.reports.simulation.simulate", "experiments.reports.tuning.tune",
-        "experiments.reports.simulation.convergence_gains", "experiments.reports.sweep.sweep.run_parts",
+        "experiments.reports.simulation.convergence_gains", "tuning.sweeps.workflow.run_parts",
     ):  # fmt: skip
         monkeypatch.setattr(name, lambda *_, **__: computed.append(command))
     below = drive_file / "x"
