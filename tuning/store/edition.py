@@ -1,20 +1,45 @@
 """Which edition of the code answered: results of two editions do not go together."""
 
+import contextlib
 import functools
 import hashlib
 import inspect
 import sys
+import uuid
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 
 import diffdrive
 import tuning
+from diffdrive.controllers import KINDS
+from diffdrive.effects.catalogue import EFFECTS
+
+
+def code_digest(*modules: str) -> str:
+    """A digest of the simulator, of the tuning, of further modules by their names, and of what else is registered."""
+    text = hashlib.sha256(_of_packages(*modules).encode())
+    for definition in (*EFFECTS.values(), *(kind.build for kind in KINDS.values())):
+        if definition.__module__.split(".")[0] not in (diffdrive.__name__, tuning.__name__):
+            text.update(_source_of(definition).encode())
+    return text.hexdigest()
 
 
 @functools.cache
-def code_digest(*modules: str) -> str:
-    """A digest of the simulator, of the tuning, and of further modules by their names."""
+def _source_of(definition: Callable[..., object]) -> str:
+    """The source of the module that an effect or a controller of one's own is written in.
+
+    Where nobody can say what it is, as of what was typed, it is that of no other program.
+    """
+    for written in (sys.modules.get(definition.__module__), definition):
+        with contextlib.suppress(OSError, TypeError):
+            return inspect.getsource(written)  # type: ignore[arg-type]  # None raises what is suppressed
+    return uuid.uuid4().hex
+
+
+@functools.cache
+def _of_packages(*modules: str) -> str:
     text = hashlib.sha256()
     for package in (diffdrive, tuning):
         root = Path(_folder(package))

@@ -1,6 +1,9 @@
 """Finished parts of a computation are found again to the last bit, and no others are taken for them."""
 
 import dataclasses
+import importlib
+import linecache
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +27,7 @@ from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.priors import ITSELF, LOG_ODDS, LOGARITHM, Parameter
 from tuning.diagnosis.search import look, recalibrated
 from tuning.diagnosis.setting import setting
+from tuning.store import edition
 from tuning.store.folder import FolderStore
 from tuning.store.store import digest
 
@@ -62,6 +66,40 @@ def test_a_digest_tells_apart_whatever_differs():
     assert digest(np.arange(3.0)) == digest(jnp.arange(3.0))
     with pytest.raises(TypeError, match="no digest of a object"):
         digest(object())
+
+
+OWN = """
+import diffdrive as dd
+
+@dd.effects.register
+class Weight(dd.effects.TableForce):
+    name = "weight"
+    force: float = dd.effects.amplitude("N", "on the table", usual=20.0)
+
+    def push(self, seen):
+        return {sign}self.force
+"""
+
+
+def test_another_source_of_an_effect_of_ones_own_is_another_edition(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    found = [edition.code_digest()]
+    try:
+        for sign in ("", "-", ""):
+            (tmp_path / "own_weight.py").write_text(OWN.format(sign=sign))
+            sys.modules.pop("own_weight", None)
+            linecache.clearcache()
+            importlib.import_module("own_weight")
+            found.append(edition.code_digest())
+        assert found[1] == found[3]
+        assert len(set(found)) == 3
+        exec(OWN.format(sign=""), {"__name__": "typed"})  # nobody can say what its source is
+        assert edition.code_digest() not in found
+        assert edition.code_digest() == edition.code_digest()
+    finally:
+        EFFECTS.remove("weight")
+        sys.modules.pop("own_weight", None)
 
 
 class Interrupted(FolderStore):
