@@ -233,7 +233,7 @@ def test_a_force_that_a_lost_filter_saw_is_not_told(constant_force_diagnosis, co
     assert (written["gap"]["force_rms_N"], written["gap"]["recalibrated_force_rms_N"]) == (None, None)
     assert written["gap"]["noise_floor_force_N"] == constant_force_diagnosis.floor
     assert (written["causes"][0]["gap_before"], written["causes"][0]["held_out"]["shrink"]) == (None, None)
-    assert "lost with the recalibrated drive" in written["closed"]["says"]
+    assert "loses track with the recalibrated drive" in written["closed"]["says"]
     page = (out / "report.html").read_text()
     assert "too far from the logs" in section(page, "1.")
     assert "<td>nominal</td><td>-</td><td>-</td><td>-</td>" in section(page, "1.")
@@ -246,7 +246,7 @@ def test_a_force_that_no_filter_could_tell_leaves_nothing_to_draw(constant_force
     told, out = command_for(lost)
     assert told["gap"]["noise_floor_force_N"] is None
     assert told["closed"]["share"] is told["causes"][0]["held_out"]["shrink"] is None
-    assert "lost with what was found" in told["closed"]["says"]
+    assert "loses track with what was found" in told["closed"]["says"]
     assert (out / "ladder.png").exists()
 
 
