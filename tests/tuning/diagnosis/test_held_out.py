@@ -190,7 +190,7 @@ def test_a_cause_that_leaves_most_of_the_held_out_gap_is_not_believed(share, ver
     judged = confirmed(believed, [rung(one) for one in (100.0, 0.0, -500.0)], share and Closed(*share))
     assert judged.verdict == verdict
     assert judged.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
-    assert ("held out only" in judged.says) == (verdict == "unknown")
+    assert ("of the missing force is gone" in judged.says) == (verdict == "unknown")
 
 
 @pytest.mark.parametrize(("left", "coarse", "verdict"), [(2.4, True, 0), (2.6, True, 1), (2.6, False, 0)])
