@@ -275,7 +275,7 @@ def test_a_fatal_finding_ends_with_one_line_and_code_2(folder, in_volts, tmp_pat
 def test_force_goes_on_over_a_fatal_finding_and_says_so(in_volts, capsys):
     with Report("forced", None) as report:
         read_sound_logs([in_volts], TRUE, report, name="findings", force=True)
-    assert "FORCED over fatal findings" in capsys.readouterr().out
+    assert "overruled by --force" in capsys.readouterr().out
 
 
 def test_ctrl_c_ends_the_search_at_its_next_step_and_a_second_one_at_once(monkeypatch):

@@ -54,7 +54,7 @@ def test_a_fatal_finding_lowers_the_confidence_and_is_told(constant_force_diagno
     late = dataclasses.replace(constant_force_log.log(), command=delayed(constant_force_log.log().command, 1))
     told, out = command_for(constant_force_diagnosis, late)
     printed = capsys.readouterr().out
-    assert "FORCED" not in printed
+    assert "overruled" not in printed
     assert "1 fatal" in printed
     finding = told["findings"][0]
     assert (finding["severity"], finding["channel"]) == ("fatal", "command")
