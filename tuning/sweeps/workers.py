@@ -36,8 +36,8 @@ def run_part(text: str, question: str, devices: int | None, part: int) -> pa.Tab
     plan = _plan(text, devices)
     if plan.identity() != question:
         raise ParameterError(
-            "a worker has another version of diffdrive, jax, numpy or scipy, another processor or other XLA_FLAGS than "
-            "the program that asks: the same ones are needed on every machine of the cluster"
+            "a worker has another version of diffdrive, jax, numpy or scipy, another processor, other XLA_FLAGS, or "
+            "other effects and controllers of your own than the program that asks: they must be the same everywhere"
         )
     return plan.costs(part)
 

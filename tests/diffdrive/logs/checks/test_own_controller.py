@@ -46,7 +46,7 @@ class PI(Controller):
 def registered():
     dd.controllers.register(Kind("pi", "PI", lambda section, drive: section.build(PI), (Keys("controller", PI),)))
     yield
-    del dd.controllers.KINDS["pi"]
+    dd.controllers.KINDS.remove("pi")
 
 
 def log_of(kp, ki):
