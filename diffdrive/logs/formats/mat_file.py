@@ -13,11 +13,11 @@ import scipy.io
 from pymatreader import read_mat as read_variables
 
 from diffdrive.errors import LogError
+from diffdrive.logs.formats.arrays import ALONE, TEXT, signals
 from diffdrive.logs.formats.table import Table, skipped_note, skipped_text
 from diffdrive.support.atomic_write import atomic_write
 
 Column = tuple[str, np.ndarray | str, str | None]  # path, values or why it has none, unit
-ALONE, TEXT = "holds a single value", "holds text"  # what may stand beside signals
 
 
 def read_mat(path: Path) -> Table:
@@ -63,7 +63,7 @@ def _columns(path: str, value: object) -> Iterator[Column]:
         for k, item in enumerate(value):
             yield from _columns(f"{path}({k + 1})", item)
     else:
-        for name, values in _signals(path, value):
+        for name, values in signals(path, value):
             yield name, values, None
 
 
@@ -78,28 +78,28 @@ def _structure(path: str, fields: dict[str, object]) -> Iterator[Column]:
             yield from _columns(f"{path}.{name}" if path else name, value)
 
 
-def _dspace(path: str, clocks: dict[str, object], signals: dict[str, object]) -> Iterator[Column]:
+def _dspace(path: str, clocks: dict[str, object], recorded: dict[str, object]) -> Iterator[Column]:
     """A ControlDesk recording: X(i).Data are the clocks, Y(i).Name and Y(i).Data the signals."""
     for k, data in enumerate(_as_list(clocks.get("Data", []))):
-        for column, values in _signals(f"{path}.X.time" if k == 0 else f"{path}.X({k + 1}).time", data):
+        for column, values in signals(f"{path}.X.time" if k == 0 else f"{path}.X({k + 1}).time", data):
             yield column, values, None
-    recordings, names = _as_list(signals["Data"]), _as_list(signals.get("Name", []))
-    units = _as_list(signals.get("Unit", []))
-    for k, recorded in enumerate(recordings):
+    recordings, names = _as_list(recorded["Data"]), _as_list(recorded.get("Name", []))
+    units = _as_list(recorded.get("Unit", []))
+    for k, data in enumerate(recordings):
         name, unit = _text(names, k), _text(units, k)
-        for column, array in _signals(f"{path}.Y.{f'({k + 1})' if name is None else name}", recorded):
+        for column, array in signals(f"{path}.Y.{f'({k + 1})' if name is None else name}", data):
             yield column, array, unit
 
 
-def _simulink(path: str, time: object, signals: dict[str, object]) -> Iterator[Column]:
+def _simulink(path: str, time: object, logged: dict[str, object]) -> Iterator[Column]:
     """'Structure with time': time, signals(i).values and signals(i).label."""
-    for name, column in _signals(f"{path}.time", time):
+    for name, column in signals(f"{path}.time", time):
         yield name, column, None
     count = np.size(time)  # type: ignore[arg-type]  # 1 of whatever is no array
-    values, labels = _as_list(signals["values"]), _as_list(signals.get("label", []))
+    values, labels = _as_list(logged["values"]), _as_list(logged.get("label", []))
     for k, data in enumerate(values):
         label = _text(labels, k) or f"signals({k + 1})"
-        for name, column in _signals(f"{path}.{label}", data, count):
+        for name, column in signals(f"{path}.{label}", data, count):
             yield name, column, None
 
 
@@ -112,40 +112,3 @@ def _text(values: list[object], k: int) -> str | None:
     """The text at k; None where there is none."""
     value = values[k] if k < len(values) else None
     return value if isinstance(value, str) else None
-
-
-def _why_no_signal(value: object) -> str | None:
-    """Why a variable is no signal; None where it is one."""
-    if isinstance(value, str) or getattr(getattr(value, "dtype", None), "kind", None) in ("U", "S"):
-        return TEXT
-    if not isinstance(value, np.ndarray):
-        return ALONE if np.isscalar(value) or value is None else f"holds a {type(value).__name__}"
-    if value.dtype.kind == "c" or (value.dtype.names or ())[:1] == ("real",):
-        return "holds complex numbers"
-    if value.dtype.kind not in "fiub":
-        return f"holds {value.dtype.name} in place of numbers"
-    if value.size < 2:
-        return ALONE
-    return f"has {value.ndim} dimensions" if value.ndim > 3 else None
-
-
-def _signals(path: str, value: object, count: int | None = None) -> Iterator[tuple[str, np.ndarray | str]]:
-    """A vector as it is, a matrix column by column, signals in time along its longer side, or the one of `count`.
-
-    In an array of three dimensions time is the last one, as Simulink writes matrices.
-    """
-    if (why := _why_no_signal(value)) is not None:
-        yield path, why
-        return
-    assert isinstance(value, np.ndarray)
-    if value.ndim == 1:
-        yield path, value
-    elif value.ndim == 3:
-        for i, j in np.ndindex(value.shape[:2]):
-            yield f"{path}({i + 1},{j + 1})", value[i, j]
-    else:
-        rows, columns = value.shape
-        is_row = columns == count if count in value.shape and rows != columns else rows < columns
-        columns_first = value.T if is_row else value
-        for k in range(columns_first.shape[1]):
-            yield f"{path}({k + 1})", columns_first[:, k]
