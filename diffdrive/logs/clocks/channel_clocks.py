@@ -23,7 +23,8 @@ def align_channel_clocks(
         return signals, []
     common = chosen.get("time")
     if common not in table.clocks.values():  # the time is a signal like others, or counted
-        common, to_si = table.clocks.get(common or chosen["position"]), conversion("time", "ms", {})
+        common = table.clocks.get(common or chosen["position"])
+        to_si = conversion("time", table.units[common], {}) if common is not None else to_si
     aligned, notes = dict(signals), []
     for channel, column in chosen.items():
         clock = table.clocks.get(column)

@@ -23,7 +23,10 @@ _OF_BYTES = ("utf-8", "utf-8-sig")  # encodings in which these are bytes of thei
 _SIGNATURES = {
     b"PAR1": "a Parquet file; name it .parquet",
     b"MATLAB": "a MAT file; name it .mat",
-    b"\x89HDF": "an HDF5 file; if MATLAB wrote it, name it .mat",
+    b"\x89HDF": "an HDF5 file; name it .h5, or .mat if MATLAB wrote it",
+    b"TDSm": "a TDMS file; name it .tdms",
+    b"\x89MCAP": "an MCAP file; name it .mcap",
+    b"MDF     ": "an MDF file; name it .mf4",
     b"PK\x03\x04": "an Excel workbook or a zip archive; save its sheet as CSV",
     b"\xd0\xcf\x11\xe0": "an old Excel workbook; save its sheet as CSV",
 }

@@ -27,12 +27,37 @@ def _parquet(path: Path) -> Table:
     return read_parquet(path)
 
 
+def _mdf(path: Path) -> Table:
+    from diffdrive.logs.formats.mdf_file import read_mdf
+
+    return read_mdf(path)
+
+
+def _tdms(path: Path) -> Table:
+    from diffdrive.logs.formats.tdms_file import read_tdms
+
+    return read_tdms(path)
+
+
+def _hdf5(path: Path) -> Table:
+    from diffdrive.logs.formats.hdf5_file import read_hdf5
+
+    return read_hdf5(path)
+
+
+def _mcap(path: Path) -> Table:
+    from diffdrive.logs.formats.mcap_file import read_mcap
+
+    return read_mcap(path)
+
+
 # each imports its library only when a file needs it: they take longer than the rest of diffdrive
 READERS: Registry[Reader] = Registry(
     "log format",
     {
         ".csv": _csv, ".tsv": _csv, ".txt": _csv, ".dat": _csv, ".asc": _csv, ".mat": _mat,
-        ".parquet": _parquet, ".pq": _parquet,
+        ".parquet": _parquet, ".pq": _parquet, ".h5": _hdf5, ".hdf5": _hdf5, ".mf4": _mdf, ".mdf": _mdf, ".tdms": _tdms,
+        ".mcap": _mcap,
     },
     pattern=r"\.[^\s./\\]+",
     hint="the last extension of a file with its dot, such as '.trc'",
