@@ -19,6 +19,7 @@ _BRACKETS = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]")
 _PARENTHESES = re.compile(r"(?P<name>.*\S)\s*\((?P<unit>[^()]*[^\W\d_][^()]*)\)")
 # a closed list: 'position_in' is no inch, 'position_act' no attocarat
 _SUFFIX = re.compile(r"(?P<name>.+)_(?P<unit>s|ms|us|µs|ns|m|mm|um|µm|nm|N|kN|V|mV|A|mA|degC|K)")
+_ADDRESS = re.compile(r"u\d+[\s,;]+\d+")  # of an axis, as SINUMERIK writes it behind a signal's name: [u1, 1]
 _NO_UNIT = ("", "-", "1", "none")
 
 
@@ -79,6 +80,8 @@ def split_unit(header: str, channel: str) -> tuple[str, str | None]:
     """
     if found := _BRACKETS.fullmatch(header.strip()):
         unit = found["unit"].strip()
+        if _ADDRESS.fullmatch(unit):
+            return header.strip(), None
         return found["name"], None if unit.casefold() in _NO_UNIT else unit
     for pattern in (_PARENTHESES, _SUFFIX):
         found = pattern.fullmatch(header.strip())

@@ -8,6 +8,7 @@ import numpy as np
 from diffdrive.errors import LogError
 from diffdrive.logs.formats.csv_arrow import parse_with_arrow
 from diffdrive.logs.formats.csv_dialect import Dialect, detect_dialect
+from diffdrive.logs.formats.csv_halscope import complete_halscope, without_display
 from diffdrive.logs.formats.csv_header import parse_header
 from diffdrive.logs.formats.csv_lines import COMMENTS, TextLine, data_lines, find_table, sample_lines
 from diffdrive.logs.formats.csv_rows import cell_count, complete_rows, parse_column, split_columns
@@ -64,14 +65,15 @@ def _table(path: Path, text: str) -> Table:
         )
     refuse_unquoted_decimals(str(path), [(line.number, line.text) for line in head], start, dialect)
     first = head[start]
-    above = (line.strip(" \x00") for line in text[: first.offset].split("\n"))
+    above = without_display([line.strip(" \x00") for line in text[: first.offset].split("\n")])
     # a header may itself be a comment, as numpy.savetxt writes it
     header = parse_header([line.lstrip("".join(COMMENTS) + " ") for line in above if line], dialect)
     numbers, cells, notes = _body(path, text, first, dialect)
     columns = dict(zip(header.names, cells, strict=True))
     named = {name: values for name, values in columns.items() if not _is_trailing(name, values)}
     units = {name: unit for name, unit in header.units.items() if name in named}
-    return Table(str(path), named, units, numbers, tuple(notes), dialect.decimal, header.clocks)
+    named, units, more = complete_halscope(above, named, units)
+    return Table(str(path), named, units, numbers, (*notes, *more), dialect.decimal, header.clocks)
 
 
 def _body(path: Path, text: str, first: TextLine, dialect: Dialect) -> tuple[np.ndarray, list[np.ndarray], list[str]]:

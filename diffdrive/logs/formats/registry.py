@@ -51,13 +51,25 @@ def _mcap(path: Path) -> Table:
     return read_mcap(path)
 
 
+def _sinumerik(path: Path) -> Table:
+    from diffdrive.logs.formats.sinumerik_file import read_sinumerik
+
+    return read_sinumerik(path)
+
+
+def _tncscope(path: Path) -> Table:
+    from diffdrive.logs.formats.tncscope_file import read_tncscope
+
+    return read_tncscope(path)
+
+
 # each imports its library only when a file needs it: they take longer than the rest of diffdrive
 READERS: Registry[Reader] = Registry(
     "log format",
     {
         ".csv": _csv, ".tsv": _csv, ".txt": _csv, ".dat": _csv, ".asc": _csv, ".mat": _mat,
         ".parquet": _parquet, ".pq": _parquet, ".h5": _hdf5, ".hdf5": _hdf5, ".mf4": _mdf, ".mdf": _mdf, ".tdms": _tdms,
-        ".mcap": _mcap,
+        ".mcap": _mcap, ".xml": _sinumerik, ".sco": _tncscope,
     },
     pattern=r"\.[^\s./\\]+",
     hint="the last extension of a file with its dot, such as '.trc'",
