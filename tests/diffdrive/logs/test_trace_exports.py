@@ -19,7 +19,7 @@ PERIOD_NOTE = "time is counted from the sampling period, 1000000 ns"
 
 
 def halscope_old(unit="nSec", decimal="."):
-    """As older versions write it: names stand before values, and one sample too many ends the file, without line end."""
+    """As older versions write it: names stand before values, and one sample too many ends the file."""
     values = np.column_stack(list(HAL.values()))
     lines = ["".join(f"{name} {value:+.14f} " for name, value in zip(HAL, row, strict=True)) for row in values]
     text = f"Sampling period is 1000000 {unit} \n" + "".join(f"\n{line}" for line in [*lines, lines[0]])
