@@ -3,7 +3,7 @@
 The screw's force S is a function of what motor and table are apart, whatever came before: S = k dz(d), where dz is d
 outside a gap g and zero within. The motor's balance through a reversal is therefore
 
-    u = c + F_m b(q) + m a + D v + k (dz(d) + t d/dt dz(d)) ,
+    u = c + F_m b(q) + m (a + t da/dt) + D v + k (dz(d) + t d/dt dz(d)) ,
 
 with its own friction F_m b, which turns over a travel l after the motor does, its inertia m a, its damping D v, and a
 time t between the force and the encoders. For each g and l on a grid the rest is linear. Whole reversals are drawn
@@ -29,9 +29,8 @@ _SPAN = 4.0  # reversal errors of motor travel to either side of a reversal
 _LEAST = 12  # samples to either side
 _MOST = 400  # samples of one reversal that are needed
 _GAPS = np.linspace(0.0, 1.0, 41)  # of the reversal error
-_SLIPS = np.array(
-    [0.0, 0.03, 0.1, 0.3, 1.0, 3.0]
-)  # of the reversal error: travel over which the motor's friction turns
+_SLIPS = np.array([0.1, 0.2, 0.4, 0.8, 1.6])
+_FRICTIONS = 2 * len(_SLIPS) + 1  # exponential (Dahl), elastic up to sliding, and at once
 # Rotary inertia of motor and screw makes up to nine tenths of a feed axis's moving mass: that of a short-lead screw
 # under a light table.
 LEAST_TABLE_SHARE = 0.1
@@ -51,6 +50,7 @@ class _Motion(NamedTuple):
 
     velocity: Float[np.ndarray, " n"]  # m/s
     acceleration: Float[np.ndarray, " n"]  # m/s^2
+    jerk: Float[np.ndarray, " n"]  # m/s^3
     moving: Bool[np.ndarray, " n"]  # beyond its noise: at rest its friction is anything
 
 
@@ -73,22 +73,23 @@ def _moments(
     signals: Signals, rows: Int[np.ndarray, " m"], extreme: int, side: float, motion: _Motion, reversal_error: float
 ) -> Float[np.ndarray, "gaps slips p p"] | None:
     """Sums of products of all columns, the command last, over one reversal into direction `side`."""
-    rows = rows[motion.moving[rows]]
-    if len(rows) < _LEAST:
+    moving = np.flatnonzero(motion.moving[rows])
+    if len(moving) < _LEAST:
         return None
     travel = np.abs(signals.motor[rows] - signals.motor[extreme])
     d = signals.deflection[rows]
     half = 0.5 * reversal_error * _GAPS[:, None]
     beyond = d - np.clip(d, -half, half)
     rate = np.gradient(beyond, signals.period, axis=1)
-    turned = 1.0 - 2.0 * np.exp(-travel / np.maximum(_SLIPS[:, None] * reversal_error, np.finfo(float).tiny))
+    share = travel / (_SLIPS[:, None] * reversal_error)
+    turned = np.concatenate([1.0 - 2.0 * np.exp(-share), np.minimum(1.0, share - 1.0), np.ones((1, len(travel)))])
     friction = side * np.where(rows < extreme, -1.0, turned)
-    kept = slice(None, None, 1 + len(rows) // _MOST)
-    rows, columns = rows[kept], np.empty((len(_GAPS), len(_SLIPS), 7, len(rows[kept])))
+    kept = moving[:: 1 + len(moving) // _MOST]
+    rows, columns = rows[kept], np.empty((len(_GAPS), _FRICTIONS, 8, len(kept)))
     columns[:, :, 0], columns[:, :, 1] = 1.0, friction[:, kept]
     columns[:, :, 2], columns[:, :, 3] = motion.acceleration[rows], motion.velocity[rows]
     columns[:, :, 4], columns[:, :, 5] = beyond[:, None, kept], rate[:, None, kept]
-    columns[:, :, 6] = signals.command[rows]
+    columns[:, :, 6], columns[:, :, 7] = motion.jerk[rows], signals.command[rows]
     return columns @ np.swapaxes(columns, -1, -2)
 
 
@@ -107,9 +108,9 @@ def play_of_reversals(signals: Signals, passes: Passes, reversal_error: float) -
     """The gap (m) that the force in the reversals shows; None from fewer than `FEWEST` of them."""
     if len(passes.turns) < FEWEST or reversal_error <= 0.0:
         return None
-    velocity, acceleration = (derivative(signals.motor, signals.period, order, 0.0) for order in (1, 2))
+    velocity, acceleration, jerk = (derivative(signals.motor, signals.period, order, 0.0) for order in (1, 2, 3))
     noise = robust_std(np.diff(signals.motor, 3)) / np.sqrt(20.0)
-    motion = _Motion(velocity, acceleration, np.abs(velocity) > 3.0 * noise / signals.period)
+    motion = _Motion(velocity, acceleration, jerk, np.abs(velocity) > 3.0 * noise / signals.period)
     found = []
     for turn in passes.turns.tolist():
         rows, extreme = _window(signals, passes, turn, reversal_error)
