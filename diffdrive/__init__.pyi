@@ -2,6 +2,8 @@ from . import controllers, effects, logs, motion
 from .axis import Axis
 from .axis_file.drive_file import read_axis
 from .linearisation import LinearLoop, StabilityMargins, linearise
+from .logs.encoders.comparison import compare_encoders
+from .logs.encoders.result import EncoderComparison
 from .logs.log import Log
 from .logs.read import read_log, read_logs
 from .loop.run import Run
@@ -12,11 +14,13 @@ from .simulation import Rollout, rollout, simulate
 
 __all__ = [
     "Axis",
+    "EncoderComparison",
     "LinearLoop",
     "Log",
     "Rollout",
     "Run",
     "StabilityMargins",
+    "compare_encoders",
     "configure",
     "controllers",
     "effects",

@@ -1,49 +1,70 @@
-"""Two encoders of one axis: whether the difference of motor and table depends on the direction of motion."""
+"""Two encoders of one axis: lost motion, and what screw and scale make of the difference of motor and table."""
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from diffdrive.axis import Axis
+from diffdrive.errors import ParameterError
 from diffdrive.logs.checks.finding import Finding
-from diffdrive.logs.checks.grid import noise_std
 from diffdrive.logs.checks.ratios import motor_follows_position
-from diffdrive.logs.checks.statistics import derivative, longest_piece, robust_fit, sampling_period
+from diffdrive.logs.encoders.comparison import compare_encoders
+from diffdrive.logs.encoders.result import EncoderComparison, in_words
 from diffdrive.logs.log import Log
 
-SLIDING = 0.1  # share of the top speed above which the direction is clear
-# Wind-up of a screw under friction alone is some micrometres: 100 N on 50 N/um are 2 um, either way.
-WIND_UP = 5e-6
+MEND_PLAY = (
+    "look at nut, coupling and bearing of the screw, and its preload; state it in the drive file as "
+    "[effects.backlash], or let a diagnosis find it; identify with the encoder that the controller uses"
+)
+MEND_WIND_UP = "state it in the drive file as [effects.compliance]; identify with the encoder that the controller uses"
 
 
-def lost_motion(log: Log, axis: Axis | None) -> Iterator[Finding]:
-    """Motor minus table while it moves forwards against while it moves backwards: play, or wind-up under friction."""
-    if log.motor_position is None or any(motor_follows_position(log)):  # in one unit first
+def compared(log: Log, axis: Axis | None) -> EncoderComparison | None:
+    """Motor against table; None without a second encoder, in another unit or sign, or where the table hardly moves."""
+    if log.motor_position is None or any(motor_follows_position(log)):
+        return None
+    try:
+        return compare_encoders(log, axis)
+    except ParameterError:
+        return None
+
+
+def two_encoders(log: Log, axis: Axis | None) -> Iterator[Finding]:
+    """Lost motion; linear error, error per turn, drift and time between the encoders."""
+    comparison = compared(log, axis)
+    if comparison is not None:
+        yield from _lost_motion(comparison)
+        yield from _screw(comparison)
+
+
+def _lost_motion(comparison: EncoderComparison) -> Iterator[Finding]:
+    error, play = comparison.reversal_error, comparison.play
+    if error is None or play is None or not comparison.has_lost_motion:
         return
-    piece, period = longest_piece(log), sampling_period(log)
-    motor, table = log.motor_position[piece], log.position[piece]
-    speed = derivative(table, period, 1)
-    moving = np.abs(speed) > SLIDING * float(np.quantile(np.abs(speed), 0.999))
-    forwards = moving & (speed > 0)
-    if min(int(np.sum(forwards)), int(np.sum(moving & ~forwards))) < 50:
-        return
-    force = derivative(log.command[piece], period, 0)
-    columns = [np.sign(speed)[moving], table[moving] - table.mean(), force[moving]]
-    fit = robust_fit([column for column in columns if np.std(column) > 0], (motor - table)[moving])
-    reversal_error = 2.0 * float(fit.coefficients[0])
-    difference = float(np.median((motor - table)[forwards]) - np.median((motor - table)[moving & ~forwards]))
-    noise = np.hypot(noise_std(motor), noise_std(table))
-    if abs(difference) < max(WIND_UP, 10 * noise):
-        return
-    residual_std = 1.4826 * float(np.median(np.abs(fit.residual)))
-    play = reversal_error if np.sign(reversal_error) == np.sign(difference) else difference
-    yield Finding(
-        "warning",
-        "motor_position",
-        f"motor and table are {1e6 * difference:.3g} um apart between the two directions, {1e6 * play:.3g} um of it "
-        f"whatever the force (scatter {1e6 * residual_std:.2g} um): lost motion",
-        "backlash of screw, nut or coupling, or wind-up under friction: state it in the drive file as "
-        "[effects.backlash] or [effects.compliance], or let a diagnosis find it; identify with the encoder that the "
-        "controller uses",
-        "lost motion",
+    scatter = "" if comparison.scatter is None else f", scatter {1e6 * comparison.scatter:.2g} um"
+    message = (
+        f"motor and table are {in_words(error, 1e6)} um apart between the two directions over "
+        f"{len(comparison.reversals)} reversals{scatter}"
     )
+    change = comparison.change_along_stroke
+    if change is not None and change.is_significant:
+        message += f", {in_words(change, 1e6)} um more for each metre along the stroke"
+    if comparison.has_play:
+        message += f": lost motion, {in_words(play, 1e6)} um of it play whatever the force"
+        yield Finding("warning", "motor_position", message, MEND_PLAY, "lost motion")
+    elif comparison.may_be_all_play:
+        message += ": lost motion, play or wind-up under friction, which this log does not tell apart"
+        yield Finding("warning", "motor_position", message, MEND_PLAY, "lost motion")
+    else:
+        message += f": wind-up of the screw under friction, with no more than {1e6 * play.high:.3g} um of play"
+        yield Finding("note", "motor_position", message, MEND_WIND_UP, "lost motion")
+
+
+def _screw(comparison: EncoderComparison) -> Iterator[Finding]:
+    told = [text for text, _ in comparison.kinematics()]
+    if told:
+        yield Finding(
+            "note",
+            "motor_position",
+            f"motor against table: {', '.join(told)}",
+            "compensate them in the control, or state the first two in the drive file as [effects.lead_error]",
+            "screw",
+        )

@@ -223,7 +223,7 @@ def _other_findings(log: Log, axis: Axis | None, controller_command: Signal | No
         outliers.spikes(log, controller_command),
         outliers.lost_rows(log),
         bursts.unexplained(log, axis, controller_command),
-        encoders.lost_motion(log, axis),
+        encoders.two_encoders(log, axis),
         ranges.load(log, axis),
         ranges.temperature(log),
         ratios.zeros(log),
