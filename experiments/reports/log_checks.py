@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from diffdrive.logs.checks.encoders import compared
 from diffdrive.logs.log import CHANNELS, Log
 from experiments.reports.checked_logs import EXTRA, axis_with_overrides, parse_loads, read_and_check
+from experiments.reports.encoders import report_encoders
 from experiments.reports.report import Report
 
 SMOOTH = 5e-3  # s, over which a speed is taken
@@ -40,6 +42,8 @@ def check_logs(
         rows = [_row(log) for log in checked.logs]
         report.record("logs", names, rows)
         report.show("What the logs hold", (*names[:3], "length, s", *names[4:8], "largest command N", names[9]), rows)
+        comparisons = [compared(log, description) for log in checked.logs]
+        report_encoders(report, [one for one in comparisons if one is not None])
     return not fatal
 
 

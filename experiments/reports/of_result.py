@@ -6,11 +6,13 @@ from pathlib import Path
 from rich.console import Console
 
 from diffdrive.errors import ParameterError
+from diffdrive.logs.encoders.result import EncoderComparison
 from diffdrive.loop.run import Run
 from diffdrive.results import Result
 from experiments.reports.diagnosis.figures import save_diagnosis_figures
 from experiments.reports.diagnosis.files import write_augmented, write_reference
 from experiments.reports.diagnosis.page import print_answers, write_page
+from experiments.reports.encoders import report_encoders
 from experiments.reports.identification.identification import report_identification
 from experiments.reports.report import Report
 from experiments.reports.simulation import write_simulation
@@ -60,6 +62,11 @@ def section(result: object, writer: Report) -> None:
 def _(result: Run, writer: Report) -> None:
     writer.values("run", status=result.status.message, **result.as_dict())
     write_simulation(writer, result)
+
+
+@section.register
+def _(result: EncoderComparison, writer: Report) -> None:
+    report_encoders(writer, [result])
 
 
 @section.register

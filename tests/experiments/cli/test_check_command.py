@@ -3,6 +3,7 @@
 import json
 import re
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -65,3 +66,17 @@ def test_a_fatal_finding_is_named_with_its_mend_and_ends_with_3(checked):
     assert len(worst) == 1
     assert worst[0][2] == "command"
     assert "shift the command by -1 samples" in worst[0][4]
+
+
+def test_two_encoders_have_a_table_and_a_picture(checked, tmp_path):
+    """The motor 40 um ahead of the table in either direction: 80 um of lost motion."""
+    turned = np.where(np.gradient(SOUND.position) < 0.0, -1.0, 1.0)
+    code, told = checked(replaced(motor_position=SOUND.position + 40e-6 * turned))
+    assert code == 0
+    rows = {row[1]: row[2:] for row in told["tables"]["encoders"]["rows"]}
+    value, low, high, unit = rows["reversal error"]
+    assert (value, unit) == (pytest.approx(80.0, rel=0.01), "um")
+    assert low <= value <= high
+    assert (tmp_path / "out" / "encoders.csv").exists()
+    assert (tmp_path / "out" / "encoders.png").exists()
+    assert any("lost motion" in row[3] for row in told["tables"]["findings"]["rows"])
