@@ -138,15 +138,16 @@ def test_a_log_with_one_encoder_is_refused_in_one_line():
     assert list(two_encoders(log.replace(motor_position=None), None)) == []
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say():
-    """Of 60 cases at 95 % fewer than 52 are held once in 500 times."""
+@pytest.mark.parametrize(("cases", "least"), [(8, 6), pytest.param(60, 52, marks=pytest.mark.slow)])
+def test_intervals_hold_the_truth_as_often_as_they_say(cases, least):
+    """At 95 % fewer than 52 of 60 are held once in 500 times, fewer than 6 of 8 once in 170."""
     held = dict.fromkeys(("reversal_error", "play", "per_turn", "linear", "drift"), 0)
     false_plays = 0
-    for seed in range(60):
+    for seed in range(cases):
         axis, log = drawn(seed)
         found = dd.compare_encoders(log)
         for name in held:
             held[name] += holds(getattr(found, name), getattr(axis, name))
         false_plays += axis.play == 0.0 and found.has_play
-    assert min(held.values()) >= 52, held
+    assert min(held.values()) >= least, held
     assert false_plays <= 1
