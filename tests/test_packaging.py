@@ -57,7 +57,16 @@ LAYERS = (
     ("controllers",),
     ("loop",),
     ("axis",),
-    ("axis_file", "paper", "simulation", "linearisation", "motion.text", "motion.reference", "logs.checks"),
+    (
+        "axis_file",
+        "paper",
+        "simulation",
+        "linearisation",
+        "motion.text",
+        "motion.reference",
+        "logs.checks",
+        "logs.encoders",
+    ),
 )
 UPWARDS = {  # the imports that may go the other way: of a type alone, or where a method is called
     "diffdrive.model.parameters.Scalar": "diffdrive.numerics",
