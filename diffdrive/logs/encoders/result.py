@@ -11,6 +11,9 @@ from diffdrive.results import Result, Status
 
 OK = Status(True)
 
+# what differs in proportion to the speed has two causes, which a log does not tell apart
+READ_EARLIER = "{} ms times the speed: the table is read earlier than the motor, or viscous friction winds the screw up"
+
 
 class Reversal(NamedTuple):
     """One reversal and its lost motion."""
@@ -93,7 +96,7 @@ class EncoderComparison(Result):
             ("linear error {} um/m", self.linear, 1e6, travel),
             (f"error of {{}} um either way per turn of {period:.4g} mm", self.per_turn, 1e6, 1.0),
             ("drift {} um/min", self.drift, 60e6, seconds),
-            ("the table is read {} ms before the motor", self.delay, 1e3, speed),
+            (READ_EARLIER, self.delay, 1e3, speed),
         )
         return [
             (text.format(in_words(one, factor)), one)
