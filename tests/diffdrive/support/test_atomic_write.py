@@ -168,7 +168,8 @@ def _writes(node):
         in_memory = name == "to_netcdf" and not node.args
         # a result's own `save` goes by the helper
         in_memory |= name == "save" and getattr(node.func.value, "id", "") not in ("np", "numpy", "jnp")
-        return None if in_memory or set(places) & {"file", "written", "buffer"} else name
+        reads = name == "File" and any(isinstance(one, ast.Constant) and one.value == "r" for one in node.args)
+        return None if in_memory or reads or set(places) & {"file", "written", "buffer"} else name
     return None
 
 
