@@ -1,6 +1,7 @@
 """Progress of a long call: to a callback of the caller's, or drawn where somebody watches a terminal or a notebook."""
 
 import contextlib
+import importlib.util
 import sys
 from collections.abc import Callable, Iterator
 
@@ -52,4 +53,6 @@ def searching(tell: Progress, stage: str) -> Iterator[Callable[[int, int, float]
 
 
 def _is_watched() -> bool:
-    return "ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", lambda: False)())
+    # without ipywidgets a notebook would show, in place of a bar, a warning at each of its steps
+    notebook = "ipykernel" in sys.modules and importlib.util.find_spec("ipywidgets") is not None
+    return notebook or bool(getattr(sys.stderr, "isatty", lambda: False)())
