@@ -81,3 +81,4 @@ def test_a_notebook_runs_and_shows_a_figure(notebook, tmp_path):
     outputs = [output for cell in done.cells for output in cell.get("outputs", [])]
     assert any("image/png" in output.get("data", {}) for output in outputs)
     assert [output for output in outputs if output.get("name") == "stderr"] == []
+    assert "Warning" not in str(outputs)  # rich displays some
