@@ -39,7 +39,9 @@ def run(notebook: Any, folder: Path) -> Any:
     from nbclient import NotebookClient
 
     env = {**os.environ, "TF_CPP_MIN_LOG_LEVEL": "3"}  # on a busy machine the compiler says how slow it is
-    return NotebookClient(notebook, timeout=LONGEST, resources={"metadata": {"path": str(folder)}}).execute(env=env)
+    where = {"metadata": {"path": str(folder)}}
+    # what a cell prints is one block, however long the pauses between its lines
+    return NotebookClient(notebook, timeout=LONGEST, resources=where, coalesce_streams=True).execute(env=env)
 
 
 def notebook_page(path: Path, *, run_it: bool = True) -> Executed:
