@@ -16,8 +16,10 @@ from diffdrive.effects.catalogue import in_order
 from diffdrive.errors import ParameterError
 from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Directional, Drive, Sampling, Scalar, is_number, parameter_value, quantities
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.model.quantity import Directional, is_number, parameter_value, quantities
 from diffdrive.motion.motion import Limits
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.messages import suggestion
 
 PARTS = ("plant", "friction", "actuator", "sensor", "effects")  # of the machine

@@ -10,7 +10,7 @@ from diffdrive.axis import Axis
 from diffdrive.errors import ParameterError
 from diffdrive.loop import linearise as loop
 from diffdrive.loop import margins as loop_margins
-from diffdrive.model.parameters import Scalar, as_arrays, require_double_precision
+from diffdrive.numerics.arrays import Scalar, as_arrays, require_double_precision
 from diffdrive.simulation import checked_machine
 
 

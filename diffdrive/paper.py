@@ -14,9 +14,10 @@ from diffdrive.controllers import (
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import ParameterError
 from diffdrive.logs.mapping import ColumnMapping
-from diffdrive.model.parameters import Drive, Sampling, Scalar
+from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.model.presets import PAPER_FORCE_PER_VOLT, PAPER_KD, PAPER_KP, PAPER_STROKE, paper_drive
 from diffdrive.motion.motion import Limits
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
 from diffdrive.observers.load_estimator import InnovationLoad
 

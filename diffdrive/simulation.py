@@ -12,8 +12,8 @@ from diffdrive.errors import ParameterError
 from diffdrive.loop import simulate as loop
 from diffdrive.loop.metrics import rms, window
 from diffdrive.loop.run import Run
-from diffdrive.model.parameters import Scalar, as_arrays
 from diffdrive.motion.motion import Motion
+from diffdrive.numerics.arrays import Scalar, as_arrays
 from diffdrive.support.rates import is_same_rate
 
 

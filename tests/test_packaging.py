@@ -69,7 +69,6 @@ LAYERS = (
     ),
 )
 UPWARDS = {  # the imports that may go the other way: of a type alone, or where a method is called
-    "diffdrive.model.parameters.Scalar": "diffdrive.numerics",
     "diffdrive.axis.Axis": "diffdrive.logs.read",
     "diffdrive.axis_file.drive_file.write_axis": "diffdrive.axis",
 }

@@ -25,7 +25,7 @@ from diffdrive.logs.checks import examine
 from diffdrive.logs.formats.registry import READERS
 from diffdrive.loop.linearise import OperatingPoint, open_loop, response
 from diffdrive.loop.run import Run
-from diffdrive.model.parameters import as_arrays
+from diffdrive.numerics.arrays import as_arrays
 from experiments.cli.main import app
 from tests.support.perturbed_machine import catalogue, fitter_of
 from tests.support.sound_log import DRIVE, SOUND

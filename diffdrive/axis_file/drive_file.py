@@ -26,19 +26,8 @@ from diffdrive.effects.feasibility import limits_envelope, require_feasible
 from diffdrive.effects.transmission import Transmission
 from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs.mapping import mapping_tables, parse_mapping
-from diffdrive.model.parameters import (
-    Actuator,
-    Directional,
-    Drive,
-    Friction,
-    Plant,
-    Quantity,
-    Sampling,
-    Sensor,
-    check,
-    check_drive,
-    quantity_table,
-)
+from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, Sensor, check_drive
+from diffdrive.model.quantity import Directional, Quantity, check, quantity_table
 from diffdrive.motion.motion import Limits
 from diffdrive.support.atomic_write import write_text
 from diffdrive.support.messages import short_repr, shortened

@@ -7,7 +7,8 @@ import equinox as eqx
 
 from diffdrive.controllers import KINDS, Keys
 from diffdrive.effects.catalogue import EFFECTS
-from diffdrive.model.parameters import Actuator, Friction, Plant, Quantity, Sensor
+from diffdrive.model.parameters import Actuator, Friction, Plant, Sensor
+from diffdrive.model.quantity import Quantity
 
 _PARTS: tuple[tuple[str, type[eqx.Module]], ...] = (
     ("plant", Plant),

@@ -19,7 +19,7 @@ from diffdrive.controllers.friction_compensation import FrictionCompensation
 from diffdrive.controllers.kinds import Keys, Kind, Option
 from diffdrive.controllers.pd import PD
 from diffdrive.controllers.unknown import UnknownController
-from diffdrive.model.parameters import quantity, quantity_table
+from diffdrive.model.quantity import quantity, quantity_table
 
 __all__ = [
     "DOBVSC",

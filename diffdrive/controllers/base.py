@@ -9,7 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, PyTree
 
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Directional, Drive, Plant, Scalar, quantity, quantity_table
+from diffdrive.model.parameters import Drive, Plant
+from diffdrive.model.quantity import Directional, quantity, quantity_table
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.observers.friction_observer import ObserverEstimate
 from diffdrive.support.typing import TomlTable
 

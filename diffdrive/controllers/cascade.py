@@ -20,7 +20,9 @@ from diffdrive.controllers.base import (
 )
 from diffdrive.controllers.kinds import FEEDFORWARD, Keys, Kind, Option, Section, read_feedforward
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Drive, Scalar, quantity, quantity_table
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import quantity, quantity_table
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.pipeline import Pipeline, filled, pushed
 from diffdrive.support.messages import short_repr
 from diffdrive.support.typing import TomlTable

@@ -6,7 +6,9 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from diffdrive.controllers.kinds import Keys, Section
-from diffdrive.model.parameters import Directional, Drive, Plant, Scalar, quantity
+from diffdrive.model.parameters import Drive, Plant
+from diffdrive.model.quantity import Directional, quantity
+from diffdrive.numerics.arrays import Scalar
 
 
 class _Lag(NamedTuple):

@@ -29,7 +29,9 @@ from diffdrive.controllers.kinds import (
     Section,
     read_tracking,
 )
-from diffdrive.model.parameters import Drive, Scalar, quantity, quantity_table
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import quantity, quantity_table
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.observers.friction_observer import ObserverEstimate
 from diffdrive.support.typing import TomlTable
 

@@ -30,7 +30,9 @@ from diffdrive.controllers.kinds import (
     read_tracking,
 )
 from diffdrive.model.friction import deflection_after, friction_force, lugre_coefficients
-from diffdrive.model.parameters import Drive, Friction, Scalar, quantity, quantity_table
+from diffdrive.model.parameters import Drive, Friction
+from diffdrive.model.quantity import quantity, quantity_table
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.observers.friction_observer import ObserverEstimate
 from diffdrive.support.typing import TomlTable
 

@@ -26,7 +26,8 @@ from diffdrive.controllers.kinds import (
     Section,
     read_tracking,
 )
-from diffdrive.model.parameters import Drive, Scalar
+from diffdrive.model.parameters import Drive
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.observers.friction_observer import (
     FrictionObserver,
     KalmanObserver,

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 from diffdrive.controllers.base import TRACKING_GAINS, Command, Controller, LastError, Reference, Tracking, Tunable
 from diffdrive.controllers.kinds import TRACKING_KEYS, TRACKING_OPTIONS, Kind, read_tracking
-from diffdrive.model.parameters import Drive, Scalar
+from diffdrive.model.parameters import Drive
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.typing import TomlTable
 
 

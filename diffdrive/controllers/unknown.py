@@ -7,7 +7,7 @@ from jaxtyping import PyTree
 from diffdrive.controllers.base import Controller, Reference
 from diffdrive.controllers.kinds import Kind
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.typing import TomlTable
 
 

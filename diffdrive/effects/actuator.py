@@ -7,7 +7,8 @@ from jax import lax
 from jaxtyping import PyTree
 
 from diffdrive.effects.base import ActuatorEffect, Push, Stage
-from diffdrive.model.parameters import Scalar, quantity
+from diffdrive.model.quantity import quantity
+from diffdrive.numerics.arrays import Scalar
 
 LONGEST_DELAY = 8  # control periods
 

@@ -14,7 +14,8 @@ from typing import ClassVar, NamedTuple, Self
 import equinox as eqx
 from jaxtyping import Array, Float, PyTree
 
-from diffdrive.model.parameters import Drive, Scalar
+from diffdrive.model.parameters import Drive
+from diffdrive.numerics.arrays import Scalar
 
 
 class Seen(NamedTuple):

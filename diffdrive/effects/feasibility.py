@@ -6,8 +6,9 @@ import numpy as np
 from diffdrive.effects import stages
 from diffdrive.effects.base import Envelope, MachineEffect
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Drive, Sampling, Scalar
+from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.motion.motion import Limits
+from diffdrive.numerics.arrays import Scalar
 
 
 def motion_envelope(position: np.ndarray, velocity: np.ndarray, load: np.ndarray, period: float) -> Envelope:

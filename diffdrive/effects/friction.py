@@ -11,7 +11,9 @@ from jaxtyping import PyTree
 from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect
 from diffdrive.effects.forces import end_velocity, midpoint_position, too_many_turns, window
 from diffdrive.model.friction import coulomb, deflection_after, friction_under_load, relaxation_map
-from diffdrive.model.parameters import Directional, Drive, Scalar, quantity
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import Directional, quantity
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.once import once
 from diffdrive.numerics.polynomial import reciprocal
 from diffdrive.numerics.relaxation import relaxation

@@ -8,7 +8,9 @@ import numpy as np
 from jaxtyping import PyTree
 
 from diffdrive.effects.base import Acts, Envelope, MachineEffect, Seen, TableEffect
-from diffdrive.model.parameters import Directional, Drive, Scalar, quantity
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import Directional, quantity
+from diffdrive.numerics.arrays import Scalar
 
 
 def _scaled(pair: Directional, logarithm: Scalar) -> Directional:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.exponential import exp_neg
 from diffdrive.numerics.trigonometry import cosine_sine
 

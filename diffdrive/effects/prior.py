@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
-from diffdrive.model.parameters import quantity
+from diffdrive.model.quantity import quantity
 
 
 class Prior(NamedTuple):

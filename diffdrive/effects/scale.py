@@ -7,7 +7,9 @@ import numpy as np
 
 from diffdrive.effects.base import Envelope, ScaleEffect
 from diffdrive.effects.forces import too_many_turns
-from diffdrive.model.parameters import Drive, Scalar, quantity
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import quantity
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.trigonometry import cosine_sine, double_angle
 
 

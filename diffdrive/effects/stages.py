@@ -17,7 +17,9 @@ from diffdrive.effects.base import (
     TableEffect,
 )
 from diffdrive.model.friction import friction_force, lugre_coefficients
-from diffdrive.model.parameters import Directional, Drive, Sampling, Scalar
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.model.quantity import Directional
+from diffdrive.numerics.arrays import Scalar
 
 Effects = tuple[Effect, ...]
 

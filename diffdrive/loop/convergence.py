@@ -16,9 +16,10 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import LoadEstimatorError
 from diffdrive.model.friction import lugre_coefficients, steady_friction, stribeck_level
-from diffdrive.model.parameters import Friction, Scalar, as_arrays, require_double_precision
+from diffdrive.model.parameters import Friction
 from diffdrive.model.transition import state_matrices
 from diffdrive.motion.motion import Motion
+from diffdrive.numerics.arrays import Scalar, as_arrays, require_double_precision
 from diffdrive.observers import kalman
 from diffdrive.observers.friction_observer import KalmanObserver, estimated_friction
 from diffdrive.observers.load_estimator import InnovationLoad

@@ -28,7 +28,8 @@ from diffdrive.errors import ParameterError
 from diffdrive.loop.simulate import LoopState, initial_state, step_machine
 from diffdrive.model import actuator, plant, sensor
 from diffdrive.model.friction import lugre_coefficients, steady_friction, stribeck_level
-from diffdrive.model.parameters import Drive, Sampling, Scalar
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.resources import require_memory
 
 SETTLING_TIME = 0.3  # s of the motion after which filters have converged to their gains

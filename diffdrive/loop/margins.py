@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Complex, Float
 
 from diffdrive.loop.linearise import OpenLoop, Response, growth_rate, response
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 
 LOWEST_FREQUENCY = 0.5  # Hz
 POINTS_PER_DECADE = 60

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 
 
 def window(time: np.ndarray, start: float, end: float) -> slice:

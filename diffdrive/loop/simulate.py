@@ -29,18 +29,11 @@ from diffdrive.loop.metrics import safe_sqrt
 from diffdrive.loop.run import Run, with_status
 from diffdrive.model import actuator, plant, sensor
 from diffdrive.model.friction import friction_force, lugre_coefficients
-from diffdrive.model.parameters import (
-    Drive,
-    Sampling,
-    Scalar,
-    as_arrays,
-    check,
-    check_drive,
-    in_precision_of,
-    require_double_precision,
-)
+from diffdrive.model.parameters import Drive, Sampling, check_drive
+from diffdrive.model.quantity import check
 from diffdrive.motion.load import Ramp, require_resolved_friction, validated_load
 from diffdrive.motion.motion import Limits, Motion, require_within
+from diffdrive.numerics.arrays import Scalar, as_arrays, in_precision_of, require_double_precision
 from diffdrive.numerics.once import once
 from diffdrive.numerics.pipeline import require_shorter
 from diffdrive.observers.friction_observer import ObserverEstimate

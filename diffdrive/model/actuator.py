@@ -9,7 +9,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from diffdrive.model.parameters import Actuator, Scalar
+from diffdrive.model.parameters import Actuator
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.pipeline import Pipeline, filled, pushed
 
 

@@ -14,7 +14,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from diffdrive.model.parameters import Directional, Friction, Scalar
+from diffdrive.model.parameters import Friction
+from diffdrive.model.quantity import Directional
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.exponential import LOG2_E, bounded_power, exp2_neg
 from diffdrive.numerics.once import once
 from diffdrive.numerics.polynomial import reciprocal

@@ -20,7 +20,9 @@ from jax import lax
 from jaxtyping import Array, Float, PyTree
 
 from diffdrive.model.friction import LoadedFriction, friction_under_load, nan_unless_positive
-from diffdrive.model.parameters import Directional, Drive, Scalar
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import Directional
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.once import once
 from diffdrive.numerics.polynomial import reciprocal
 from diffdrive.numerics.relaxation import relaxation

@@ -2,7 +2,8 @@
 
 import math
 
-from diffdrive.model.parameters import Actuator, Directional, Drive, Friction, Plant, Sensor
+from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sensor
+from diffdrive.model.quantity import Directional
 
 PAPER_FORCE_PER_VOLT = 0.1 * 1.27 * 2 * math.pi / 0.005  # N/V, eq. (3): 159.593
 PAPER_KP = 50_000 * PAPER_FORCE_PER_VOLT  # N/m; the paper gives 50,000 command volts per metre

@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 from jax import lax
 
-from diffdrive.model.parameters import Scalar, Sensor
+from diffdrive.model.parameters import Sensor
+from diffdrive.numerics.arrays import Scalar
 
 
 def quantise(position: Scalar, resolution: Scalar) -> Scalar:

@@ -18,7 +18,8 @@ import jax
 import jax.numpy as jnp
 
 from diffdrive.model.friction import LuGreCoefficients
-from diffdrive.model.parameters import Plant, Scalar
+from diffdrive.model.parameters import Plant
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.exponential import exp_neg
 from diffdrive.numerics.once import once
 from diffdrive.numerics.polynomial import polynomial

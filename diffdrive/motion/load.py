@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.errors import MotionError
-from diffdrive.model.parameters import Drive, Sampling, Scalar
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import Scalar
 
 __all__ = ["Ramp", "constant", "material_removal", "piecewise", "ramp", "step"]
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool
 
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.once import once
 from diffdrive.numerics.polynomial import polynomial
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.resources import format_count
 
 LONGEST_TUPLE = 32  # up to here compiling takes no longer than without

@@ -4,7 +4,7 @@ from functools import partial
 
 import jax
 
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.once import once
 
 Coefficients = tuple[float, ...]

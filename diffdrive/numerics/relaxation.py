@@ -17,7 +17,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.exponential import exp_neg_parts
 from diffdrive.numerics.once import once
 from diffdrive.numerics.polynomial import homogeneous, polynomial

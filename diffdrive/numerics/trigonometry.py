@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 from jax.typing import DTypeLike
 
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.polynomial import polynomial
 
 MAX_TURNS = 1e9  # of an angle: there its rounding error is a millionth of a radian

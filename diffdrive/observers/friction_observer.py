@@ -14,8 +14,10 @@ import jax.numpy as jnp
 from jaxtyping import PyTree
 
 from diffdrive.model.friction import LuGreCoefficients, friction_force, lugre_coefficients
-from diffdrive.model.parameters import Friction, Plant, Scalar, quantity, quantity_table
+from diffdrive.model.parameters import Friction, Plant
+from diffdrive.model.quantity import quantity, quantity_table
 from diffdrive.model.transition import state_matrices, transition
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.once import once
 from diffdrive.observers import kalman
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad

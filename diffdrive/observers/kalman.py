@@ -8,7 +8,7 @@ is C = [1, 0, ..., 0] throughout.
 
 from collections.abc import Callable
 
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 
 Vector = tuple[Scalar, ...]
 Matrix = tuple[Vector, ...]

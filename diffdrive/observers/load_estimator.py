@@ -7,7 +7,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from diffdrive.model.parameters import Scalar, quantity
+from diffdrive.model.quantity import quantity
+from diffdrive.numerics.arrays import Scalar
 
 GATE_ROUNDING = 0.1  # of the minimum speed, in the smooth variant
 

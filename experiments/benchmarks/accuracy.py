@@ -11,9 +11,10 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
-from diffdrive.model.parameters import Drive, Sampling, Scalar, Sensor, as_arrays
+from diffdrive.model.parameters import Drive, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion.builders import triangular
+from diffdrive.numerics.arrays import Scalar, as_arrays
 from experiments.studies.recovery.random_drive import random_drive
 
 SUBSTEPS = (1, 2, 3, 5, 8, 16)

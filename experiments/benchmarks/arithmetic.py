@@ -8,7 +8,8 @@ from jax.extend.core import Jaxpr, JaxprEqn
 
 from diffdrive.controllers import Controller, Reference
 from diffdrive.loop.simulate import Inputs, initial_state, step
-from diffdrive.model.parameters import Drive, Sampling, as_arrays
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import as_arrays
 
 WEIGHTS = {"div": 8, "sqrt": 10, "exp": 12, "sin": 20, "cos": 20, "tanh": 20, "logistic": 16, "pow": 30}  # in vectors
 FREE = {

@@ -10,8 +10,9 @@ import numpy as np
 
 from diffdrive.errors import DiffdriveError
 from diffdrive.loop.simulate import Inputs
-from diffdrive.model.parameters import Sampling, as_arrays
+from diffdrive.model.parameters import Sampling
 from diffdrive.motion.load import Ramp
+from diffdrive.numerics.arrays import as_arrays
 from diffdrive.runtime import cores
 from experiments.benchmarks import clock, in_c, loops
 from experiments.benchmarks.common import RATE, nominal, ns_per_step

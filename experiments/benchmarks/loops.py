@@ -15,7 +15,8 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import Controller, Reference
 from diffdrive.loop.simulate import Inputs, rollout, running_costs
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Drive, Sampling, Scalar, as_arrays, in_precision_of
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import Scalar, as_arrays, in_precision_of
 from experiments.studies.paper import scenario as paper
 from tuning.optimisation.least_squares import LeastSquaresResult, levenberg_marquardt
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from diffdrive.controllers import Controller, Feedforward, FrictionCompensation
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Directional, Drive, Friction, Plant
+from diffdrive.model.parameters import Drive, Friction, Plant
+from diffdrive.model.quantity import Directional
 from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
 

@@ -13,7 +13,8 @@ import numpy as np
 from diffdrive.controllers import Controller
 from diffdrive.loop.linearise import OperatingPoint, Response, open_loop, response
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Drive, Sampling, as_arrays
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import as_arrays
 from experiments.reports.report import new_figure, plain_logarithmic
 from tuning.gains.requirements import LoopLimits
 

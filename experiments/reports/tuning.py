@@ -8,7 +8,7 @@ import numpy as np
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.loop.linearise import OperatingPoint
-from diffdrive.model.parameters import quantities
+from diffdrive.model.quantity import quantities
 from experiments.reports import readable
 from experiments.reports.axis_file import write_axis_file
 from experiments.reports.interruption import stop_at_next_step

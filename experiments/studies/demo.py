@@ -15,7 +15,9 @@ from diffdrive.errors import ParameterError
 from diffdrive.loop import metrics
 from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Drive, Scalar, as_arrays, quantities
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import quantities
+from diffdrive.numerics.arrays import Scalar, as_arrays
 from experiments.drives import PAPER_DRIVE
 from experiments.reports.report import Report
 from experiments.reports.tuning import tune_and_report

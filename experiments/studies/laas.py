@@ -11,7 +11,8 @@ from jaxtyping import Float
 from scipy import signal
 
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Directional, Drive, Friction, Plant, Sensor
+from diffdrive.model.parameters import Drive, Friction, Plant, Sensor
+from diffdrive.model.quantity import Directional
 from experiments.studies.data_folder import find_data
 
 ACTIVE_FLAGS = {"speed_test1.txt": 1, "speed_test.txt": 0}  # "Function Activated" while the compensation is on

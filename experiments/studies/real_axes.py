@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 from diffdrive.controllers import Controller, UnknownController
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Actuator, Directional, Drive
+from diffdrive.model.parameters import Actuator, Drive
+from diffdrive.model.quantity import Directional
 from experiments.reports.report import Report
 from experiments.studies import laas
 from experiments.studies.emps import axis as emps

@@ -2,8 +2,9 @@
 
 from dataclasses import replace
 
-from diffdrive.model.parameters import Directional, Drive, Plant
+from diffdrive.model.parameters import Drive, Plant
 from diffdrive.model.presets import paper_drive
+from diffdrive.model.quantity import Directional
 
 PAPER = paper_drive(quantised=False)
 ASYMMETRIC = Drive(

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffdrive.model.parameters import Sampling, as_arrays
+from diffdrive.model.parameters import Sampling
+from diffdrive.numerics.arrays import as_arrays
 from tests.support.sound_log import DRIVE, RATE, simulate_log, two_sines
 from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.candidates import candidates

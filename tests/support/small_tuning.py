@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Actuator, Sampling, Sensor, as_arrays
+from diffdrive.model.parameters import Actuator, Sampling, Sensor
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.builders import triangular
+from diffdrive.numerics.arrays import as_arrays
 from experiments.studies.paper import scenario as paper
 from tuning.gains.constrained import ConstrainedGains, tuning_problem
 from tuning.gains.objective import Objective

@@ -7,7 +7,8 @@ from typing import Any, cast
 import numpy as np
 
 from diffdrive.effects.catalogue import EFFECTS
-from diffdrive.model.parameters import Directional, Drive
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import Directional
 from diffdrive.results import as_json as plain
 from diffdrive.support.spans import format_span
 from tuning.diagnosis.calibration import NAMES

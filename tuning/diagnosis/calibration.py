@@ -5,7 +5,8 @@ import dataclasses
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from diffdrive.model.parameters import Directional, Drive
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import Directional
 
 TOLERANCE = 0.02  # standard deviation of the logarithm of a nominal parameter
 NAMES = (

@@ -18,7 +18,8 @@ from diffdrive.effects.catalogue import EFFECTS, effects_by_part
 from diffdrive.effects.scale import LeadError
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Drive, Sampling, as_arrays
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import as_arrays
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.command_left import doubted_by_command

@@ -16,7 +16,8 @@ from diffdrive.effects import stages
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.base import Effect, Seen
 from diffdrive.model.actuator import saturate
-from diffdrive.model.parameters import Drive, Sampling, Scalar
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import Scalar
 from tuning.identification.prediction import Lanes
 
 

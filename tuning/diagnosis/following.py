@@ -25,7 +25,8 @@ from diffdrive.effects.base import Effect, TableEffect
 from diffdrive.effects.transmission import Sensitivity
 from diffdrive.model import plant
 from diffdrive.model.friction import coulomb
-from diffdrive.model.parameters import Drive, Sampling, Scalar
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.once import once
 from diffdrive.observers.kalman import diagonal, kalman_gain, predict_covariance, update_covariance
 from tuning.diagnosis import hidden

@@ -20,7 +20,8 @@ from diffdrive.controllers import Controller
 from diffdrive.effects.actuator import LONGEST_DELAY, LoopDelay
 from diffdrive.logs import Log
 from diffdrive.loop.simulate import Inputs, rollout
-from diffdrive.model.parameters import Drive, Sampling, as_arrays
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import as_arrays
 from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.fitting import Fitted, Fitter, slopes_of
 from tuning.diagnosis.following import LASTING, LOST, Slopes, Track, answers, per_innovation

@@ -12,7 +12,8 @@ from diffdrive.effects.base import Acts, Seen
 from diffdrive.effects.stages import Effects
 from diffdrive.effects.transmission import Sensitivity, Transmission
 from diffdrive.model import plant
-from diffdrive.model.parameters import Drive, Scalar
+from diffdrive.model.parameters import Drive
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.observers.kalman import Matrix
 
 UNKNOWN_RATE = 1e-3  # m/s, standard deviation of the motor's against the table

@@ -17,7 +17,8 @@ from jaxtyping import Array
 from diffdrive.effects import stages
 from diffdrive.effects.base import Acts
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Drive, as_arrays
+from diffdrive.model.parameters import Drive
+from diffdrive.numerics.arrays import as_arrays
 from tuning.diagnosis.exposure import Course, exposure
 from tuning.identification.friction_along import friction_along
 from tuning.identification.inverse_dynamics import DYNAMICS

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import Effect
 from diffdrive.effects.transmission import Transmission
-from diffdrive.model.parameters import Drive, Sampling, Scalar
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import Scalar
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.exposure import Course, Exposure, altered, exposure

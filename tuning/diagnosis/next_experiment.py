@@ -20,8 +20,9 @@ from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
 from diffdrive.errors import MotionError
 from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
-from diffdrive.model.parameters import Sensor, as_arrays
+from diffdrive.model.parameters import Sensor
 from diffdrive.motion.motion import Motion, require_within
+from diffdrive.numerics.arrays import as_arrays
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import MOVING, drive_of

@@ -21,8 +21,9 @@ from diffdrive.controllers import Controller, UnknownController
 from diffdrive.errors import MotionError
 from diffdrive.loop.simulate import Frame, Inputs, loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Drive, Sampling, as_arrays
+from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.motion.motion import Limits, Motion, require_within
+from diffdrive.numerics.arrays import as_arrays
 from tuning.identification.estimates import ReportedParameter, reported_parameters
 from tuning.identification.filter_gain import filter_lanes
 from tuning.identification.identify import UNDETERMINED, Identification

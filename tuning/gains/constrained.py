@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 from tuning.gains.objective import Objective
 from tuning.gains.requirements import Constraints
 from tuning.gains.scenarios import Ensemble, EnsembleSignals

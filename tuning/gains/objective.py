@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.errors import ParameterError
 from diffdrive.loop.metrics import safe_sqrt
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.registry import Registry
 from tuning.gains.scenarios import EnsembleSignals
 

@@ -15,11 +15,13 @@ from diffdrive.errors import LoadEstimatorWarning, MotionError
 from diffdrive.loop import metrics
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate
-from diffdrive.model.parameters import Drive, Sampling, as_arrays, quantities
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.model.quantity import quantities
 from diffdrive.motion import load
 from diffdrive.motion.builders import triangular
 from diffdrive.motion.load import validated_load
 from diffdrive.motion.motion import Limits, Motion, require_within
+from diffdrive.numerics.arrays import as_arrays
 from diffdrive.numerics.pipeline import require_shorter
 from tuning.gains.scenarios import Scenario
 

@@ -19,7 +19,8 @@ from diffdrive.loop.convergence import convergence_gain, innovation_load_observe
 from diffdrive.loop.linearise import OperatingPoint, open_loop
 from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins, margins
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Drive, Sampling, Scalar, as_arrays
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import Scalar, as_arrays
 from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
 from tuning.gains.objective import rms

@@ -15,8 +15,9 @@ from diffdrive.effects.stages import force_limit
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Drive, Sampling, Sensor, as_arrays
+from diffdrive.model.parameters import Drive, Sampling, Sensor
 from diffdrive.motion.motion import Motion
+from diffdrive.numerics.arrays import as_arrays
 
 
 @dataclass(frozen=True)

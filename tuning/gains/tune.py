@@ -16,7 +16,8 @@ from jaxtyping import Float
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import ParameterError
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import as_arrays, check, require_double_precision
+from diffdrive.model.quantity import check
+from diffdrive.numerics.arrays import as_arrays, require_double_precision
 from diffdrive.support.resources import format_count, require_memory
 from tuning.gains.checkpoint import Checkpoint
 from tuning.gains.constrained import ConstrainedGains, DesignPoint, evaluate, tuning_problem

@@ -12,7 +12,7 @@ from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import as_arrays
+from diffdrive.numerics.arrays import as_arrays
 from tuning.gains.plan import ScenarioResult, TuningPlan, machines, run_scenario
 from tuning.gains.requirements import Constraints, LoopLimits, operating_points
 from tuning.gains.scenarios import Scenario

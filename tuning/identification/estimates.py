@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffdrive.model.parameters import Drive, Scalar
+from diffdrive.model.parameters import Drive
+from diffdrive.numerics.arrays import Scalar
 from tuning.identification.problem import IdentificationProblem, Innovations
 from tuning.identification.uncertainty import Covariance
 from tuning.identification.unknowns import Unknowns, free_paths, with_value

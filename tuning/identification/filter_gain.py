@@ -17,7 +17,8 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from diffdrive.model import plant
-from diffdrive.model.parameters import Drive, Sampling, Scalar
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.once import once
 from diffdrive.observers.kalman import Matrix, Triangle, diagonal, kalman_gain, predict_covariance, update_covariance
 from tuning.identification.prediction import FilterGains, Lanes, applied_force, initial_state

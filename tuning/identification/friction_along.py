@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 from diffdrive.effects.base import Acts
 from diffdrive.effects.stages import with_friction_offset
 from diffdrive.model.friction import deflection_after, friction_force, lugre_coefficients
-from diffdrive.model.parameters import Drive, Scalar
+from diffdrive.model.parameters import Drive
+from diffdrive.numerics.arrays import Scalar
 
 
 class FrictionAlong(NamedTuple):

@@ -12,7 +12,8 @@ import scipy.ndimage
 from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Drive, as_arrays
+from diffdrive.model.parameters import Drive
+from diffdrive.numerics.arrays import as_arrays
 from tuning.identification.prediction import constant_gains, predict
 from tuning.identification.problem import FINE_SUBSTEP, lanes_of, sampling_of
 from tuning.identification.replay import replay_closed_loop, replay_open_loop

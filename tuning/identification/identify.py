@@ -16,7 +16,9 @@ from jaxtyping import Array, Float
 
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Directional, Drive, as_arrays, check_drive, require_double_precision
+from diffdrive.model.parameters import Drive, check_drive
+from diffdrive.model.quantity import Directional
+from diffdrive.numerics.arrays import as_arrays, require_double_precision
 from diffdrive.support.resources import format_count, require_memory
 from tuning.identification.adequacy import Adequacy, adequacy
 from tuning.identification.estimates import ParameterEstimate, estimates

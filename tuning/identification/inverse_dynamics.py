@@ -23,7 +23,7 @@ from scipy.ndimage import minimum_filter1d
 
 from diffdrive.errors import LogError
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Directional
+from diffdrive.model.quantity import Directional
 from tuning.identification.determined import solve
 from tuning.identification.regressors import SYMMETRIC, Kinematics, Regressors
 from tuning.identification.stretches import Stretch, stretches

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Drive, as_arrays
+from diffdrive.model.parameters import Drive
+from diffdrive.numerics.arrays import as_arrays
 from tuning.identification.curves import HysteresisCurves, hysteresis_curves
 from tuning.identification.friction_along import friction_along
 from tuning.identification.gaps import delay_of

@@ -21,7 +21,8 @@ from jaxtyping import Array, Float
 from diffdrive.model import plant
 from diffdrive.model.actuator import saturate
 from diffdrive.model.friction import stribeck_level
-from diffdrive.model.parameters import Drive, Sampling, Scalar, require_double_precision
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import Scalar, require_double_precision
 from diffdrive.numerics.once import once
 
 MAX_DELAY = 8  # control periods

@@ -11,7 +11,8 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Array, Float
 
-from diffdrive.model.parameters import Drive, Scalar, as_arrays
+from diffdrive.model.parameters import Drive
+from diffdrive.numerics.arrays import Scalar, as_arrays
 from tuning.identification.filter_gain import PROCESS_FORCES, MostLikely, filter_lanes, most_likely
 from tuning.identification.prediction import Prediction
 from tuning.identification.problem import FINEST_SUBSTEP, IdentificationProblem, Innovations, sampling_of

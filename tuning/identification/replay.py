@@ -21,8 +21,10 @@ from diffdrive.logs import Log
 from diffdrive.loop.simulate import Inputs, LoopState, rollout
 from diffdrive.model.actuator import saturate, steady_state
 from diffdrive.model.friction import steepest_stribeck_slope
-from diffdrive.model.parameters import Drive, Sampling, Scalar, as_arrays, check, check_drive, require_double_precision
+from diffdrive.model.parameters import Drive, Sampling, check_drive
+from diffdrive.model.quantity import check
 from diffdrive.motion.builders import from_array
+from diffdrive.numerics.arrays import Scalar, as_arrays, require_double_precision
 from diffdrive.numerics.pipeline import require_shorter
 from diffdrive.results import Status
 from tuning.identification.prediction import FilterGains, Lanes, initial_state, predict

@@ -2,7 +2,8 @@
 
 import equinox as eqx
 
-from diffdrive.model.parameters import Directional, Drive
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import Directional
 from tuning.identification.inverse_dynamics import InverseDynamics
 
 SIGNIFICANT = 2.0  # standard errors that a parameter must be away from zero to count as determined

@@ -12,7 +12,9 @@ from operator import attrgetter
 import equinox as eqx
 import jax.numpy as jnp
 
-from diffdrive.model.parameters import Directional, Drive, Plant, Scalar, quantity
+from diffdrive.model.parameters import Drive, Plant
+from diffdrive.model.quantity import Directional, quantity
+from diffdrive.numerics.arrays import Scalar
 from tuning.identification.prediction import MAX_DELAY, MIN_DELAY
 from tuning.optimisation.space import FreeParameter
 

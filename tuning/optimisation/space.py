@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Directional, quantities
+from diffdrive.model.quantity import Directional, quantities
 
 Model = TypeVar("Model")
 

@@ -11,8 +11,9 @@ from jaxtyping import Array, Float, PyTree
 
 from diffdrive.controllers import Controller, Reference
 from diffdrive.loop.simulate import Costs, Inputs, running_costs
-from diffdrive.model.parameters import Drive, Sampling, as_arrays, in_precision_of
+from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.motion.load import Ramp
+from diffdrive.numerics.arrays import as_arrays, in_precision_of
 
 Precision = Literal["double", "single"]  # as numpy calls them, too
 

@@ -10,8 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from diffdrive.model.parameters import Directional, Drive, as_arrays, check_drive
+from diffdrive.model.parameters import Drive, check_drive
+from diffdrive.model.quantity import Directional
 from diffdrive.motion.load import Ramp
+from diffdrive.numerics.arrays import as_arrays
 from tuning.sweeps.varied import LOAD, VariedQuantity, with_effects
 
 Values = dict[str, Float[np.ndarray, " n"]]

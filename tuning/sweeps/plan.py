@@ -20,10 +20,11 @@ from diffdrive.effects.base import Envelope
 from diffdrive.effects.feasibility import limits_envelope, motion_envelope, require_feasible
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop.simulate import Costs
-from diffdrive.model.parameters import Drive, require_double_precision
+from diffdrive.model.parameters import Drive
 from diffdrive.motion.load import Ramp, require_resolved_friction
 from diffdrive.motion.motion import Motion, require_within
 from diffdrive.motion.text import Recipe, load_recipe, parse_load, require_longer_than
+from diffdrive.numerics.arrays import require_double_precision
 from diffdrive.runtime import arithmetic_signature
 from diffdrive.support.rates import is_same_rate
 from diffdrive.support.resources import require_memory

@@ -12,8 +12,9 @@ from diffdrive.effects.stages import force_limit
 from diffdrive.errors import ParameterError
 from diffdrive.loop.run import Run, with_status
 from diffdrive.loop.simulate import loop_inputs, rollout
-from diffdrive.model.parameters import Drive, as_arrays
+from diffdrive.model.parameters import Drive
 from diffdrive.motion.load import Ramp
+from diffdrive.numerics.arrays import as_arrays
 from tuning.sweeps.machines import lane
 from tuning.sweeps.plan import SweepCosts, SweepPlan
 

@@ -13,7 +13,8 @@ from scipy import stats
 
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Drive, quantities
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import quantities
 from diffdrive.motion.text import number, numbers
 
 # Beside what the drive file holds: a load that changes linearly between two times, and is constant outside.

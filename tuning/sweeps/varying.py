@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import quantities
+from diffdrive.model.quantity import quantities
 from diffdrive.motion.text import number
 from diffdrive.support.text_file import read_toml
 from tuning.sweeps.varied import MAX_LOG_DEVIATION, known_quantities

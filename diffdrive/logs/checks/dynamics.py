@@ -15,7 +15,8 @@ from scipy.ndimage import binary_dilation
 
 from diffdrive.logs.checks.statistics import SMOOTHING, derivative, smooth_signal, window_length
 from diffdrive.logs.log import Signal
-from diffdrive.model.parameters import Directional, Drive
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import Directional
 
 # Below this share of the top speed the bristle and the Stribeck curve decide, not the balance above.
 SLIDING = 0.1

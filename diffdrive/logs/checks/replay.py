@@ -12,7 +12,8 @@ from jaxtyping import Array, Float, PyTree
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller, Reference
 from diffdrive.model import actuator
-from diffdrive.model.parameters import Drive, Scalar, as_arrays, require_double_precision
+from diffdrive.model.parameters import Drive
+from diffdrive.numerics.arrays import Scalar, as_arrays, require_double_precision
 
 WIDTHS = (4096, 65_536)  # samples; of what has more than ten times as many the next
 Carry = tuple[PyTree, actuator.ActuatorState]  # the controller's state and the actuator's

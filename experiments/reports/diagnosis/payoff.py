@@ -12,7 +12,7 @@ from rich.console import Console
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import as_arrays
+from diffdrive.numerics.arrays import as_arrays
 from experiments.reports.report import Report
 from experiments.reports.tuning import tune_and_report
 from tuning.gains.handover import worst_margins

@@ -8,7 +8,8 @@ import numpy as np
 
 from diffdrive.controllers import UnknownController
 from diffdrive.errors import DiffdriveError, ParameterError
-from diffdrive.model.parameters import Drive, quantities
+from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import quantities
 from diffdrive.motion.text import number
 from experiments.reports import readable
 from experiments.reports.axis_file import write_axis_file

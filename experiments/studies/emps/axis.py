@@ -9,7 +9,8 @@ import scipy.io
 from diffdrive.axis import Axis
 from diffdrive.controllers import Cascade
 from diffdrive.logs import ColumnMapping, Log, read_log
-from diffdrive.model.parameters import Actuator, Directional, Drive, Friction, Plant, Sampling, Sensor
+from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, Sensor
+from diffdrive.model.quantity import Directional
 from diffdrive.motion.motion import Limits
 from experiments.studies.data_folder import find_data
 

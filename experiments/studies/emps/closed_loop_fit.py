@@ -19,15 +19,9 @@ from diffdrive.controllers import Controller
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import (
-    Drive,
-    Sampling,
-    Scalar,
-    as_arrays,
-    check,
-    check_drive,
-    require_double_precision,
-)
+from diffdrive.model.parameters import Drive, Sampling, check_drive
+from diffdrive.model.quantity import check
+from diffdrive.numerics.arrays import Scalar, as_arrays, require_double_precision
 from tuning.identification import inverse_dynamics
 from tuning.identification.inverse_dynamics import LOAD_SPREAD, MIN_SPEED
 from tuning.identification.problem import FINE_SUBSTEP, sampling_of

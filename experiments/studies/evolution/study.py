@@ -15,8 +15,10 @@ from diffdrive.controllers import Cascade, Controller
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.loop.simulate import simulate
-from diffdrive.model.parameters import Directional, Drive, Sensor, as_arrays, quantities
+from diffdrive.model.parameters import Drive, Sensor
+from diffdrive.model.quantity import Directional, quantities
 from diffdrive.motion.builders import staircase
+from diffdrive.numerics.arrays import as_arrays
 from experiments.reports.report import Report, new_figure
 from experiments.studies.emps import axis as emps
 from experiments.studies.evolution.two_stage import two_stage

@@ -21,7 +21,8 @@ from jaxtyping import Array, Float
 
 from diffdrive.logs import Log
 from diffdrive.model.friction import steady_friction
-from diffdrive.model.parameters import Drive, as_arrays, check_drive, require_double_precision
+from diffdrive.model.parameters import Drive, check_drive
+from diffdrive.numerics.arrays import as_arrays, require_double_precision
 from tuning.identification import inverse_dynamics
 from tuning.identification.curves import stribeck_curves
 from tuning.identification.friction_along import friction_along

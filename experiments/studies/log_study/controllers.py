@@ -8,7 +8,7 @@ from jax import lax
 from jaxtyping import Array, Float, PyTree
 
 from diffdrive.controllers import PD, Cascade, Command, Controller, Feedforward, Reference
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 
 WEIGHTS = (0.3, 0.1, -0.1, -0.3)  # of the least-squares slope, the newest sample first
 

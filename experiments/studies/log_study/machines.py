@@ -8,8 +8,9 @@ import numpy as np
 from diffdrive.controllers import PD, Cascade, Controller, Reference
 from diffdrive.errors import ResultError
 from diffdrive.logs.log import Log
-from diffdrive.model.parameters import Drive, as_arrays
+from diffdrive.model.parameters import Drive
 from diffdrive.motion.motion import Motion
+from diffdrive.numerics.arrays import as_arrays
 from experiments.studies.log_study.controllers import FittedVelocity, replayed_command
 from experiments.studies.log_study.drives import StudyDrive
 from experiments.studies.log_study.fault import COMMAND_SHARE, FaultKind, LogFault, log_uniform

@@ -19,8 +19,10 @@ from diffdrive.effects import stages
 from diffdrive.logs.log import Log
 from diffdrive.loop.run import Run, with_status
 from diffdrive.loop.simulate import Inputs, LoopState, initial_state, loop_inputs, rollout, step
-from diffdrive.model.parameters import Directional, Drive, Sampling, Scalar, as_arrays
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.model.quantity import Directional
 from diffdrive.motion.motion import Motion
+from diffdrive.numerics.arrays import Scalar, as_arrays
 from experiments.studies.log_study.drives import StudyDrive
 
 # How far a sound machine is from its drive file: a CAD mass, and friction measured on another day.

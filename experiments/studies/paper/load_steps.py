@@ -8,11 +8,12 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
-from diffdrive.model.parameters import Drive, Scalar, as_arrays
+from diffdrive.model.parameters import Drive
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load
 from diffdrive.motion.builders import constant_speed
 from diffdrive.motion.motion import Motion
+from diffdrive.numerics.arrays import Scalar, as_arrays
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
 from diffdrive.observers.load_estimator import InnovationLoad
 from experiments.studies.paper import scenario as paper

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from diffdrive.model.parameters import Directional, Drive, Friction, Plant
+from diffdrive.model.parameters import Drive, Friction, Plant
 from diffdrive.model.presets import paper_drive
+from diffdrive.model.quantity import Directional
 from experiments.studies.recovery.truth import SCALE
 
 SPREAD = 0.4

@@ -32,9 +32,11 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import PDGains
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Drive, Scalar, Sensor, as_arrays, check, check_drive, require_double_precision
+from diffdrive.model.parameters import Drive, Sensor, check_drive
+from diffdrive.model.quantity import check
 from diffdrive.motion.load import validated_load
 from diffdrive.motion.motion import Motion
+from diffdrive.numerics.arrays import Scalar, as_arrays, require_double_precision
 
 LONGEST_STEP = 2e-6  # s
 SCALE = Sensor(resolution=1e-7, noise=3e-8)

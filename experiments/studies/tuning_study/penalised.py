@@ -19,7 +19,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from diffdrive.model.parameters import Scalar
+from diffdrive.numerics.arrays import Scalar
 from experiments.studies.tuning_study.baselines import BaselineResult, BaselineVisit
 from tuning.gains.constrained import PENALTY, ConstrainedGains, DesignPoint, TuningProblem, evaluate
 from tuning.gains.sequential import FEASIBILITY_TOLERANCE

@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arrays
+from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.numerics.arrays import as_arrays
 from diffdrive.observers.friction_observer import LoadStateObserver
 from experiments.reports.report import Report, new_figure
 from experiments.studies.tuning_study.baselines import BaselineResult, cma_es, costs_of, nelder_mead, random_search

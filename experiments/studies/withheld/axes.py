@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from diffdrive.errors import ParameterError
 from diffdrive.model import presets
-from diffdrive.model.parameters import Directional, Drive, Friction, Plant
+from diffdrive.model.parameters import Drive, Friction, Plant
+from diffdrive.model.quantity import Directional
 
 
 class StudyAxis(NamedTuple):

@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diffdrive.model.parameters import Directional, Drive, Friction, Plant
+from diffdrive.model.parameters import Drive, Friction, Plant
+from diffdrive.model.quantity import Directional
 from experiments.studies.withheld.axes import AXES, StudyAxis
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, InjectedFault, log_uniform
 from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure

@@ -19,7 +19,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from diffdrive.model.parameters import Drive, Scalar, as_arrays
+from diffdrive.model.parameters import Drive
+from diffdrive.numerics.arrays import Scalar, as_arrays
 
 TOLERANCE = 1e-8
 ELEMENTS = 10  # Maxwell elements, their slip distances evenly spread up to the longest

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 
 from diffdrive.effects.machine import AS_LOGARITHMS
-from diffdrive.model.parameters import Directional
+from diffdrive.model.quantity import Directional
 from experiments.studies.withheld.draw import WithheldCase, log_faults
 from experiments.studies.withheld.faults import InjectedFault
 from experiments.studies.withheld.records import Number

@@ -29,8 +29,9 @@ from diffdrive.controllers import (
 )
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import DriveFileError
-from diffdrive.model.parameters import Actuator, Directional, Drive, Sampling, Sensor
+from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.model.quantity import Directional
 from diffdrive.motion.motion import Limits
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, LoadStateTuning, Tuning
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad

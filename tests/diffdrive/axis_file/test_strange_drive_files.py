@@ -14,8 +14,8 @@ from diffdrive.controllers import KINDS
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, DriveFileError, LoadEstimatorWarning
 from diffdrive.loop.simulate import simulate
-from diffdrive.model.parameters import quantities
 from diffdrive.model.presets import paper_drive
+from diffdrive.model.quantity import quantities
 
 STRANGE = [0.0, -1.0, 1e-300, 1e-12, 1e12, 1e300, -1e300, 10**30]
 NO_NUMBERS = [math.nan, math.inf, -math.inf, 10**400, True, [], {}, [[]] * 500, "1e999 N", "x" * 5000, "\x1b[31m"]

@@ -29,8 +29,10 @@ from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import loop_inputs, rollout, simulate
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.friction import steady_friction
-from diffdrive.model.parameters import Actuator, Directional, Sampling, Sensor, as_arrays
+from diffdrive.model.parameters import Actuator, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.model.quantity import Directional
+from diffdrive.numerics.arrays import as_arrays
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
 

@@ -28,10 +28,11 @@ from diffdrive.logs import Log
 from diffdrive.loop.linearise import OperatingPoint, open_loop, response
 from diffdrive.loop.simulate import compiled_rollout, loop_inputs, rollout, simulate
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Sampling, Sensor, as_arrays
+from diffdrive.model.parameters import Sampling, Sensor
 from diffdrive.model.plant import advance, at_rest
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.builders import triangular
+from diffdrive.numerics.arrays import as_arrays
 from tuning.identification.setup import build_problem
 
 RATE = 2_000.0

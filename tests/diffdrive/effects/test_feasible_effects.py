@@ -16,8 +16,9 @@ from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.feasibility import require_feasible
 from diffdrive.errors import DriveFileError, MotionError, ParameterError
 from diffdrive.loop.simulate import simulate
-from diffdrive.model.parameters import Sampling, quantities
+from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.model.quantity import quantities
 from diffdrive.motion.motion import Limits
 from tuning.sweeps.plan import SweepPlan
 

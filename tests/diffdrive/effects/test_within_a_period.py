@@ -14,9 +14,9 @@ from diffdrive.effects import stages
 from diffdrive.effects.forces import ConstantForce, FrameVibration
 from diffdrive.effects.friction import ELEMENTS, FrictionDwell, PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash, Compliance
-from diffdrive.model.parameters import as_arrays
 from diffdrive.model.plant import advance, at_rest
 from diffdrive.model.presets import paper_drive
+from diffdrive.numerics.arrays import as_arrays
 
 LOAD = 2_000.0
 FORCE = 220.0  # N, to and fro

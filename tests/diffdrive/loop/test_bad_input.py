@@ -26,8 +26,9 @@ from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import DivergenceError, MotionError, ParameterError, PrecisionError, ResultError
 from diffdrive.loop.simulate import simulate
-from diffdrive.model.parameters import Actuator, Sampling, Sensor, directional
+from diffdrive.model.parameters import Actuator, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.model.quantity import directional
 from diffdrive.motion.motion import Limits
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, LoadStateTuning
 

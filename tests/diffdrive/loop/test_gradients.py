@@ -23,9 +23,10 @@ from diffdrive.controllers.base import paper_tracking
 from diffdrive.loop import metrics
 from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arrays
+from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load
+from diffdrive.numerics.arrays import as_arrays
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, LoadStateTuning, Tuning
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
 

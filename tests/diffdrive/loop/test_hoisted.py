@@ -21,9 +21,10 @@ from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.loop.simulate import initial_state, loop_inputs, rollout, running_costs, step
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arrays, in_precision_of
+from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion.load import Ramp
+from diffdrive.numerics.arrays import as_arrays, in_precision_of
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
 from diffdrive.observers.load_estimator import InnovationLoad
 from experiments.benchmarks import loops

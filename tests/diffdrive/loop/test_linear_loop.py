@@ -11,7 +11,7 @@ import diffdrive as dd
 from diffdrive.errors import ParameterError
 from diffdrive.loop.linearise import OperatingPoint, open_loop, response
 from diffdrive.loop.margins import margins
-from diffdrive.model.parameters import as_arrays
+from diffdrive.numerics.arrays import as_arrays
 
 AXIS = dd.paper_axis(controller="pd")
 AXIS = AXIS.replace({"plant.mass": 110.0}).with_drive(

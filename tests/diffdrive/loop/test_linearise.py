@@ -21,8 +21,10 @@ from diffdrive.loop.simulate import Inputs, LoopState, initial_state, step
 from diffdrive.loop.smooth import smooth
 from diffdrive.model import actuator, plant, sensor
 from diffdrive.model.friction import steady_friction, stribeck_level
-from diffdrive.model.parameters import Actuator, Directional, Sampling, as_arrays
+from diffdrive.model.parameters import Actuator, Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.model.quantity import Directional
+from diffdrive.numerics.arrays import as_arrays
 from experiments.studies.paper import scenario as paper
 
 PERIOD = 1e-4

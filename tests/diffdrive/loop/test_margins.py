@@ -15,9 +15,10 @@ from diffdrive.loop.linearise import OpenLoop, OperatingPoint, open_loop
 from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins, margins
 from diffdrive.loop.simulate import Inputs, initial_state, rollout
 from diffdrive.model.friction import steady_friction, stribeck_level
-from diffdrive.model.parameters import Drive, Plant, Sampling, as_arrays
+from diffdrive.model.parameters import Drive, Plant, Sampling
 from diffdrive.model.plant import PlantState
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.numerics.arrays import as_arrays
 from tests.diffdrive.loop.test_linearise import (
     FRACTIONAL,
     LOADS,

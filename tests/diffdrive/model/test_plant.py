@@ -19,9 +19,10 @@ from diffdrive.effects.friction import PositionFriction
 from diffdrive.errors import ParameterError
 from diffdrive.loop.simulate import loop_inputs, rollout, simulate
 from diffdrive.model.friction import steady_friction
-from diffdrive.model.parameters import Drive, Friction, Plant, Sampling, as_arrays
+from diffdrive.model.parameters import Drive, Friction, Plant, Sampling
 from diffdrive.model.plant import PlantState, advance
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
+from diffdrive.numerics.arrays import as_arrays
 
 PERIOD = 1e-4
 LOAD = 5_000.0

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffdrive.model.parameters import as_arrays
 from diffdrive.model.plant import PlantState, advance, advance_with_tangents
+from diffdrive.numerics.arrays import as_arrays
 from tests.support.sound_log import DRIVE
 
 

@@ -16,9 +16,10 @@ from diffdrive.loop import metrics
 from diffdrive.loop.simulate import loop_inputs, rollout, simulate
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.friction import steady_friction, steepest_stribeck_slope
-from diffdrive.model.parameters import Sampling, as_arrays
+from diffdrive.model.parameters import Sampling
 from diffdrive.model.plant import PlantState, advance
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
+from diffdrive.numerics.arrays import as_arrays
 from experiments.studies.recovery.truth import run
 from experiments.studies.withheld import generate
 from experiments.studies.withheld.draw import draw

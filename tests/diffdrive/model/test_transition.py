@@ -7,7 +7,8 @@ import pytest
 from scipy.linalg import expm, expm_frechet
 
 from diffdrive.model.friction import LuGreCoefficients, lugre_coefficients
-from diffdrive.model.parameters import Directional, Plant
+from diffdrive.model.parameters import Plant
+from diffdrive.model.quantity import Directional
 from diffdrive.model.transition import state_matrices
 
 SPEEDS = np.concatenate([[0.0], *(sign * np.logspace(-12, 0, 61) for sign in (1, -1))])

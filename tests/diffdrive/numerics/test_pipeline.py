@@ -14,9 +14,10 @@ from diffdrive.errors import ParameterError
 from diffdrive.loop.linearise import OperatingPoint, open_loop
 from diffdrive.loop.simulate import loop_inputs, rollout, simulate
 from diffdrive.model import actuator
-from diffdrive.model.parameters import Actuator, Sampling, as_arrays
+from diffdrive.model.parameters import Actuator, Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.numerics import pipeline
+from diffdrive.numerics.arrays import as_arrays
 
 DRIVE = paper_drive(quantised=False)
 TRACKING = PD(paper_tracking(DRIVE, PAPER_KP, PAPER_KD))

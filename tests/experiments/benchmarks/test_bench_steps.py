@@ -10,8 +10,10 @@ from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.loop.simulate import loop_inputs, rollout
-from diffdrive.model.parameters import Actuator, Directional, Drive, as_arrays
+from diffdrive.model.parameters import Actuator, Drive
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.model.quantity import Directional
+from diffdrive.numerics.arrays import as_arrays
 from experiments.benchmarks import in_c
 from experiments.benchmarks.parameters import lane_parameters
 from experiments.studies.paper import scenario as paper

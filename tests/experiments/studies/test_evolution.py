@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Directional
+from diffdrive.model.quantity import Directional
 from experiments.reports.report import Report
 from experiments.studies.emps import axis as emps
 from experiments.studies.evolution.study import (

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from diffdrive.model.parameters import check_drive, quantities
+from diffdrive.model.parameters import check_drive
 from diffdrive.model.presets import paper_drive
+from diffdrive.model.quantity import quantities
 from experiments.studies.recovery.excitation import LIMITS, TONES, identification_motion, small_multisine
 from experiments.studies.recovery.random_drive import random_drive
 

@@ -10,7 +10,7 @@ import pytest
 from diffdrive.controllers import Reference
 from diffdrive.logs.checks.examine import Finding
 from diffdrive.logs.checks.finding import CAUSES
-from diffdrive.model.parameters import as_arrays
+from diffdrive.numerics.arrays import as_arrays
 from diffdrive.runtime import configure
 from experiments.reports.report import Report
 from experiments.studies.log_study.controllers import WEIGHTS, replayed_command

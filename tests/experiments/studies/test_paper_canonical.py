@@ -10,9 +10,10 @@ from diffdrive import motion
 from diffdrive.controllers import FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.loop.simulate import loop_inputs, rollout, simulate
-from diffdrive.model.parameters import Sampling, as_arrays
+from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load
+from diffdrive.numerics.arrays import as_arrays
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
 from diffdrive.observers.load_estimator import InnovationLoad
 from experiments.studies.paper.scenario import canonical, controllers

@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from diffdrive.model.parameters import Directional
 from diffdrive.model.presets import paper_drive
+from diffdrive.model.quantity import Directional
 from experiments.studies.recovery import study as recovery
 
 

@@ -13,8 +13,9 @@ from diffdrive import motion
 from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.loop.simulate import simulate
-from diffdrive.model.parameters import Actuator, Sensor, as_arrays
+from diffdrive.model.parameters import Actuator, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
+from diffdrive.numerics.arrays import as_arrays
 from experiments.benchmarks.loops import one_kernel
 from experiments.studies.recovery.truth import SCALE, TruthTable, advance, run, truth_log, truth_logs
 from tests.support.asymmetric_drive import ASYMMETRIC, PAPER

@@ -14,7 +14,8 @@ from diffdrive.effects.friction import ViscousDrift
 from diffdrive.effects.transmission import Compliance
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import write_log
-from diffdrive.model.parameters import Directional, as_arrays
+from diffdrive.model.quantity import Directional
+from diffdrive.numerics.arrays import as_arrays
 from experiments.reports.diagnosis import diagnosis as command
 from experiments.reports.diagnosis.diagnosis import diagnose_logs
 from tests.support.sound_log import COUNT, DRIVE, RATE, SOUND, axis_of, replaced, simulate_log, two_sines, without_rows

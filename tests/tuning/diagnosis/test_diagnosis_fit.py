@@ -11,7 +11,7 @@ from diffdrive.effects.actuator import ForceGain, ForceLimit, LoopDelay
 from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.effects.friction import AppliedLoad
 from diffdrive.effects.machine import PayloadMass
-from diffdrive.model.parameters import Directional
+from diffdrive.model.quantity import Directional
 from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of
 from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
 from tuning.diagnosis.beginnings import looked_for

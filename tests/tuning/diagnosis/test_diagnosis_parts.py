@@ -13,7 +13,8 @@ from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.effects.friction import FrictionDwell, PreslidingHysteresis
 from diffdrive.effects.scale import InterpolationError
-from diffdrive.model.parameters import Directional, Sensor
+from diffdrive.model.parameters import Sensor
+from diffdrive.model.quantity import Directional
 from diffdrive.motion.builders import from_array
 from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure, run
 from experiments.studies.withheld.score import read_key

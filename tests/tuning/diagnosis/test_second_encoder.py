@@ -9,7 +9,7 @@ import pytest
 from diffdrive.effects.scale import LeadError
 from diffdrive.effects.transmission import Compliance
 from diffdrive.model.friction import coulomb
-from diffdrive.model.parameters import as_arrays
+from diffdrive.numerics.arrays import as_arrays
 from tests.support.sound_log import DRIVE, RATE, simulate_log, two_sines
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.exposure import Exposure

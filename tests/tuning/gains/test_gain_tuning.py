@@ -10,7 +10,7 @@ import pytest
 
 from diffdrive.errors import CheckpointError
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import as_arrays
+from diffdrive.numerics.arrays import as_arrays
 from experiments.studies.paper import scenario as paper
 from tests.support.small_tuning import LIMITS, controller, drive, lanes, requirements, small_problem
 from tuning.gains.constrained import ConstrainedGains, evaluate, linearise_at, tuning_problem

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 import tuning
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Sampling, as_arrays
+from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.builders import triangular
+from diffdrive.numerics.arrays import as_arrays
 from tests.support.small_tuning import MOTION, SAMPLING, controller, drive, lanes, scenarios
 from tuning.gains.objective import AGGREGATIONS, Objective, mean, peak, rms
 from tuning.gains.scenarios import EnsembleSignals, Scenario, ensemble

@@ -13,8 +13,9 @@ from diffdrive import motion
 from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Actuator, Directional, Sampling, check_drive, quantities
+from diffdrive.model.parameters import Actuator, Sampling, check_drive
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.model.quantity import Directional, quantities
 from diffdrive.motion.load import ramp
 from diffdrive.motion.motion import Limits
 from experiments.studies.recovery.excitation import (

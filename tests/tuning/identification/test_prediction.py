@@ -17,9 +17,11 @@ from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.logs import Log
 from diffdrive.loop.simulate import loop_inputs, rollout
 from diffdrive.model import actuator, plant
-from diffdrive.model.parameters import Actuator, Directional, Sensor, as_arrays
+from diffdrive.model.parameters import Actuator, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
+from diffdrive.model.quantity import Directional
 from diffdrive.motion import load
+from diffdrive.numerics.arrays import as_arrays
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
 from tests.support.asymmetric_drive import ASYMMETRIC
 from tuning.identification.filter_gain import PROCESS_FORCES, filter_lanes, most_likely

@@ -12,8 +12,9 @@ from diffdrive.controllers import DOBVSC, PD, Cascade, DisturbanceObserver
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.loop.simulate import simulate
-from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, as_arrays
+from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling
 from diffdrive.motion.builders import sine
+from diffdrive.numerics.arrays import as_arrays
 from experiments.studies.emps.closed_loop_fit import fit_closed_loop
 from tuning.identification.replay import drift_note, replay, replay_closed_loop, replay_inputs, replay_open_loop
 

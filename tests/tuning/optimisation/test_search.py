@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from diffdrive.controllers.base import PDGains
 from diffdrive.errors import DivergenceError, ParameterError
-from diffdrive.model.parameters import Plant, as_arrays
+from diffdrive.model.parameters import Plant
+from diffdrive.numerics.arrays import as_arrays
 from tuning.optimisation.least_squares import levenberg_marquardt
 from tuning.optimisation.space import FreeParameter, search_space, space_around
 

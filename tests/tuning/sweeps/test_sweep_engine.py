@@ -16,9 +16,10 @@ from diffdrive.effects import actuator, forces, friction, scale, transmission
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.loop.run import divergence_bound
 from diffdrive.loop.simulate import loop_inputs, running_costs, simulate
-from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor, as_arrays
+from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.motion import Limits
+from diffdrive.numerics.arrays import as_arrays
 from experiments.studies.paper import scenario as paper
 from tuning.sweeps.courses import DutyCycle, shared_cycle
 from tuning.sweeps.engine import lane_costs

@@ -13,10 +13,12 @@ from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.transmission import Backlash
 from diffdrive.errors import ParameterError
 from diffdrive.loop.simulate import loop_inputs, running_costs
-from diffdrive.model.parameters import Directional, Sampling, as_arrays
+from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
+from diffdrive.model.quantity import Directional
 from diffdrive.motion import load
 from diffdrive.motion.load import Ramp
+from diffdrive.numerics.arrays import as_arrays
 from tuning.sweeps.machines import lane, machines
 from tuning.sweeps.varied import parse_varied
 

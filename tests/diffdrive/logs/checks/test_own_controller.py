@@ -9,7 +9,7 @@ import pytest
 import diffdrive as dd
 from diffdrive.controllers import Command, Controller, Keys, Kind, Tunable
 from diffdrive.logs.checks.examine import examine
-from diffdrive.model.parameters import quantity
+from diffdrive.model.quantity import quantity
 
 AXIS = dd.paper_axis("pd+fc")
 MOTION = dd.motion.triangular(speed=0.010, stroke=0.001, rounding=0.05, duration=0.8, rate=AXIS.rate)
