@@ -1,7 +1,9 @@
 """Which extension is of which format; a format of your own joins them."""
 
+import importlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 from diffdrive.logs.formats.table import Table
 from diffdrive.support.registry import Registry
@@ -9,71 +11,33 @@ from diffdrive.support.registry import Registry
 Reader = Callable[[Path], Table]
 
 
-def _csv(path: Path) -> Table:
-    from diffdrive.logs.formats.csv_file import read_csv
+def _reader(name: str) -> Reader:
+    """`read_NAME` of the module NAME_file, imported when a file needs it: its library takes longer than all else."""
 
-    return read_csv(path)
+    def read(path: Path) -> Table:
+        module = importlib.import_module(f"diffdrive.logs.formats.{name}_file")
+        return cast(Table, getattr(module, f"read_{name}")(path))
 
-
-def _mat(path: Path) -> Table:
-    from diffdrive.logs.formats.mat_file import read_mat
-
-    return read_mat(path)
+    return read
 
 
-def _parquet(path: Path) -> Table:
-    from diffdrive.logs.formats.parquet_file import read_parquet
-
-    return read_parquet(path)
-
-
-def _mdf(path: Path) -> Table:
-    from diffdrive.logs.formats.mdf_file import read_mdf
-
-    return read_mdf(path)
-
-
-def _tdms(path: Path) -> Table:
-    from diffdrive.logs.formats.tdms_file import read_tdms
-
-    return read_tdms(path)
-
-
-def _hdf5(path: Path) -> Table:
-    from diffdrive.logs.formats.hdf5_file import read_hdf5
-
-    return read_hdf5(path)
-
-
-def _mcap(path: Path) -> Table:
-    from diffdrive.logs.formats.mcap_file import read_mcap
-
-    return read_mcap(path)
-
-
-def _sinumerik(path: Path) -> Table:
-    from diffdrive.logs.formats.sinumerik_file import read_sinumerik
-
-    return read_sinumerik(path)
-
-
-def _tncscope(path: Path) -> Table:
-    from diffdrive.logs.formats.tncscope_file import read_tncscope
-
-    return read_tncscope(path)
-
-
-# each imports its library only when a file needs it: they take longer than the rest of diffdrive
+EXTENSIONS = {
+    "csv": (".csv", ".tsv", ".txt", ".dat", ".asc"),
+    "mat": (".mat",),
+    "parquet": (".parquet", ".pq"),
+    "hdf5": (".h5", ".hdf5"),
+    "mdf": (".mf4", ".mdf"),
+    "tdms": (".tdms",),
+    "mcap": (".mcap",),
+    "sinumerik": (".xml",),
+    "tncscope": (".sco",),
+}
 READERS: Registry[Reader] = Registry(
     "log format",
-    {
-        ".csv": _csv, ".tsv": _csv, ".txt": _csv, ".dat": _csv, ".asc": _csv, ".mat": _mat,
-        ".parquet": _parquet, ".pq": _parquet, ".h5": _hdf5, ".hdf5": _hdf5, ".mf4": _mdf, ".mdf": _mdf, ".tdms": _tdms,
-        ".mcap": _mcap, ".xml": _sinumerik, ".sco": _tncscope,
-    },
+    {extension: _reader(name) for name, extensions in EXTENSIONS.items() for extension in extensions},
     pattern=r"\.[^\s./\\]+",
     hint="the last extension of a file with its dot, such as '.trc'",
-)  # fmt: skip
+)
 
 
 def register_format(*extensions: str) -> Callable[[Reader], Reader]:
