@@ -256,7 +256,7 @@ def tuning_figure(tuned: GainSearch, runs: list[ScenarioComparison], plan: Tunin
     history = tuned.best.state.history
     left.plot([entry[1] for entry in history], [entry[3] for entry in history], "o-", ms=3)
     left.xaxis.get_major_locator().set_params(integer=True)
-    left.set(xlabel="linearisations", ylabel="objective", title="search", ylim=(0, None))
+    left.set(xlabel="linearisations", ylabel="objective (µm of RMS error)", title="search", ylim=(0, None))
     shown = max((run for run in runs if run.role == "held out"), key=lambda run: run.before.rms)
     scenario, old, new = shown.scenario, shown.before, shown.after
     right.plot(old.run.time, 1e6 * old.run.error, lw=0.8, label="given")
