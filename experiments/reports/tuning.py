@@ -150,7 +150,7 @@ def margins_table(report: Report, both: Sequence[ControllerMargins]) -> None:
 
 def loop_figures(report: Report, description: Axis, tuned: Controller, plan: TuningPlan, limits: LoopLimits) -> None:
     """Nyquist and Bode plots of the loop with the gains as given and as tuned."""
-    at = [OperatingPoint(v, w) for v in (0.0, 1e-3, plan.top_speed) for w in (plan.min_load, plan.max_load)]
+    at = [OperatingPoint(v, w) for v in (0.0, 1e-3, plan.top_speed) for w in plan.loads]
     with report.working("drawing the loops"):
         panels = {
             name: responses(description.drive, controller, description.sampling, at)
@@ -240,7 +240,7 @@ def _conditions(result: TuningResult) -> dict[str, object]:
         if value is not None
     }
     return {
-        "loads_N": [plan.min_load, plan.max_load],
+        "loads_N": list(plan.loads),
         "reversal_speed_m_per_s": plan.top_speed,
         "margins_at_speeds_m_per_s": [float(speed) for speed in result.setup.speeds],
         "parameter_uncertainty": plan.spread,

@@ -39,12 +39,11 @@ class TuningPlan:
     """
 
     speed: float = 0.010
-    max_load: float = 12_600.0
-    loads: int = 4
+    loads: tuple[float, float] = (0.0, 12_600.0)  # the lowest and the highest
+    load_steps: int = 4  # evenly spaced between them
     spread: float = 0.03
     machines: int = 2  # nominal, and others drawn within the spread
     seed: int = 0
-    min_load: float = 0.0
     motion: Motion | None = None
     settle: float = SETTLE
 
@@ -103,15 +102,15 @@ def machines(drive: Drive, count: int, spread: float, seed: int) -> list[Drive]:
 def training_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
     """Constant loads from none to the highest on every machine, and on the nominal one a load that steps and ramps."""
     motion = plan.motion_at(1.0, description.sampling.rate)
-    constant = [(f"{w / 1e3:.3g} kN", w) for w in np.linspace(plan.min_load, plan.max_load, plan.loads)]
+    constant = [(f"{w / 1e3:.3g} kN", w) for w in np.linspace(*plan.loads, plan.load_steps)]
     found: list[Scenario] = []
     for m, machine in enumerate(machines(description.drive, plan.machines, plan.spread, plan.seed)):
         for name, weight in constant:
             found.append(Scenario(f"{_machine_name(m)}, {name}", machine, motion, weight, len(found) + 1))
-    half, time = 0.5 * (plan.min_load + plan.max_load), motion.time
+    lowest, half, time = plan.loads[0], 0.5 * sum(plan.loads), motion.time
     changing = {
-        "load steps on": load.step(time, at=0.5 * plan.settle, to=half, before=plan.min_load),
-        "load ramps on": load.ramp(time, start=0.0, end=motion.duration, to=half, before=plan.min_load),
+        "load steps on": load.step(time, at=0.5 * plan.settle, to=half, before=lowest),
+        "load ramps on": load.ramp(time, start=0.0, end=motion.duration, to=half, before=lowest),
     }
     for name, over_time in changing.items():
         found.append(Scenario(f"nominal, {name}", description.drive, motion, over_time, len(found) + 1))
@@ -124,11 +123,11 @@ def held_out_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
     rate, drive = description.sampling.rate, description.drive
     motion = plan.motion_at(1.0, rate)
     other = machines(drive, 2, plan.spread, plan.seed + 1000)[1]
-    steps = np.linspace(plan.min_load, plan.max_load, plan.loads)
+    steps = np.linspace(*plan.loads, plan.load_steps)
     between = (steps[1:] + steps[:-1]) / 2
-    half, sixth = 0.5 * (plan.min_load + plan.max_load), round(motion.duration / 6.0, 9)
+    half, sixth = 0.5 * sum(plan.loads), round(motion.duration / 6.0, 9)
     changing = {
-        "load ramps off": load.ramp(motion.time, start=sixth, end=2.0 * sixth, before=plan.max_load, to=half),
+        "load ramps off": load.ramp(motion.time, start=sixth, end=2.0 * sixth, before=plan.loads[1], to=half),
         "material removal": load.ramp(motion.time, start=0.5 * sixth, end=6.0 * sixth, before=half, to=0.9 * half),
     }
     found = [Scenario(f"nominal, {w / 1e3:.3g} kN", drive, motion, w, 101 + k) for k, w in enumerate(between)]

@@ -44,7 +44,7 @@ def set_up(axis: Axis, plan: TuningPlan, required: LoopLimits, *, friction: bool
     lanes = ensemble(training, coarse, settle=plan.settle)
     required, notes = _with_default_limits(axis, required, training, plan.settle)
     speeds = margin_speeds(plan)
-    grid = operating_points([axis.drive], speeds, (plan.min_load, plan.max_load))
+    grid = operating_points([axis.drive], speeds, plan.loads)
     space = default_space(axis.controller, friction=friction)
     if left := sorted(
         gain_factors(axis.controller, friction=friction).keys() - {parameter.path for parameter in space.free}

@@ -38,7 +38,7 @@ class ControllerMargins(NamedTuple):
 def margins_at(axis: Axis, controllers: Sequence[Controller], plan: TuningPlan) -> list[ControllerMargins]:
     """Margins of each controller, also on a machine, at loads and at speeds that were not tuned on."""
     other = machines(axis.drive, 2, plan.spread, plan.seed + 1000)[1]
-    low, high = plan.min_load, plan.max_load
+    low, high = plan.loads
     between = [0.3e-3, 0.5 * plan.top_speed, 100e-3 if plan.top_speed < 50e-3 else 2.0 * plan.top_speed]
     tuned_at = operating_points([axis.drive], margin_speeds(plan), (low, high))
     others = operating_points([other, axis.drive], between, (low + 0.25 * (high - low), low + 0.75 * (high - low)))

@@ -76,8 +76,8 @@ def tune(
     if not 0.0 <= low <= high:
         raise ParameterError(f"loads: give the lowest and the highest in N, such as (0.0, 12_600.0), got {loads!r}")
     plan = TuningPlan(
-        speed=speed, max_load=high, loads=load_steps if high > low else 1, spread=spread, machines=machines, seed=seed,
-        min_load=low, motion=motion,
+        speed=speed, loads=(low, high), load_steps=load_steps if high > low else 1, spread=spread, machines=machines,
+        seed=seed, motion=motion,
     )  # fmt: skip
     if settle is not None or motion is not None:
         third = 0.0 if motion is None else motion.duration / 3.0

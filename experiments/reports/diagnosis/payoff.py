@@ -38,7 +38,7 @@ def payoff(report: Report, nominal: Axis, augmented: Axis, plan: TuningPlan = Tu
         quiet = Report(f"tuned on the {name} drive", _subfolder(report, f"tuned-{name}"), Console(quiet=True))
         with report.working(f"tuning on the {name} drive"), quiet:
             result = tune_and_report(
-                description, quiet, loads=(0.0, plan.max_load), load_steps=plan.loads, machines=plan.machines
+                description, quiet, loads=plan.loads, load_steps=plan.load_steps, machines=plan.machines
             )
         if result.status.code == "interrupted":
             raise KeyboardInterrupt  # half a tuning pays nothing
@@ -85,5 +85,5 @@ def _as_dict(judged: list[ScenarioResult], margins: dict[str, float]) -> GainFig
 
 def _margins(description: Axis, controller: Controller, plan: TuningPlan) -> dict[str, float]:
     """The worst at standstill and at the speed tuned at, without load and under the highest."""
-    at = operating_points([description.drive], (STANDSTILL, plan.speed), (0.0, plan.max_load))
+    at = operating_points([description.drive], (STANDSTILL, plan.speed), plan.loads)
     return worst_margins(Constraints(LoopLimits(), at, description.sampling).margins(as_arrays(smooth(controller))))
