@@ -7,7 +7,7 @@ from operator import attrgetter
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import PyTree
+from jaxtyping import Float, PyTree
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
@@ -29,6 +29,7 @@ OFF_GRID_FACTOR = 1.0137  # at a whole number of quanta a period a quantised loo
 HELD_OUT_SPEEDS = (0.7, 2.0)  # times the speed tuned at
 SETTLE = 0.4  # s: load estimators have found their load by then
 DURATION = 1.2  # s
+HELD_OUT_SEED = 1000  # beyond the seed of the machines tuned on
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,12 @@ class TuningPlan:
     seed: int = 0
     motion: Motion | None = None
     settle: float = SETTLE
+
+    @property
+    def training_loads(self) -> Float[np.ndarray, " n"]:
+        """The constant loads (N) that it is tuned under; one where the lowest is the highest."""
+        low, high = self.loads
+        return np.linspace(low, high, self.load_steps if high > low else 1)
 
     @property
     def top_speed(self) -> float:
@@ -99,19 +106,24 @@ def machines(drive: Drive, count: int, spread: float, seed: int) -> list[Drive]:
     return [drive, *(jax.tree.map(float, machine) for machine in drawn)]
 
 
+def held_out_machine(drive: Drive, plan: TuningPlan) -> Drive:
+    """A machine within the spread that is not tuned on."""
+    return machines(drive, 2, plan.spread, plan.seed + HELD_OUT_SEED)[1]
+
+
 def training_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
     """Constant loads from none to the highest on every machine, and on the nominal one a load that steps and ramps."""
     motion = plan.motion_at(1.0, description.sampling.rate)
-    constant = [(f"{w / 1e3:.3g} kN", w) for w in np.linspace(*plan.loads, plan.load_steps)]
+    constant = [(f"{w / 1e3:.3g} kN", w) for w in plan.training_loads]
     found: list[Scenario] = []
     for m, machine in enumerate(machines(description.drive, plan.machines, plan.spread, plan.seed)):
         for name, weight in constant:
             found.append(Scenario(f"{_machine_name(m)}, {name}", machine, motion, weight, len(found) + 1))
     lowest, half, time = plan.loads[0], 0.5 * sum(plan.loads), motion.time
-    changing = {
+    changing = _that_change({
         "load steps on": load.step(time, at=0.5 * plan.settle, to=half, before=lowest),
         "load ramps on": load.ramp(time, start=0.0, end=motion.duration, to=half, before=lowest),
-    }
+    })  # fmt: skip
     for name, over_time in changing.items():
         found.append(Scenario(f"nominal, {name}", description.drive, motion, over_time, len(found) + 1))
     _require_possible(description, found)
@@ -119,20 +131,24 @@ def training_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
 
 
 def held_out_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
-    """Loads in between, loads that change, other speeds, another machine, other noise."""
+    """Loads in between, loads that change, other speeds, another machine, other noise.
+
+    Under a single load there is none in between: the other machine then has that load.
+    """
     rate, drive = description.sampling.rate, description.drive
     motion = plan.motion_at(1.0, rate)
-    other = machines(drive, 2, plan.spread, plan.seed + 1000)[1]
-    steps = np.linspace(*plan.loads, plan.load_steps)
+    other = held_out_machine(drive, plan)
+    steps = plan.training_loads
     between = (steps[1:] + steps[:-1]) / 2
+    on_other = between if len(between) else steps
     half, sixth = 0.5 * sum(plan.loads), round(motion.duration / 6.0, 9)
-    changing = {
+    changing = _that_change({
         "load ramps off": load.ramp(motion.time, start=sixth, end=2.0 * sixth, before=plan.loads[1], to=half),
         "material removal": load.ramp(motion.time, start=0.5 * sixth, end=6.0 * sixth, before=half, to=0.9 * half),
-    }
+    })  # fmt: skip
     found = [Scenario(f"nominal, {w / 1e3:.3g} kN", drive, motion, w, 101 + k) for k, w in enumerate(between)]
     found += [Scenario(f"nominal, {name}", drive, motion, w, 201 + k) for k, (name, w) in enumerate(changing.items())]
-    found += [Scenario(f"other machine, {w / 1e3:.3g} kN", other, motion, w, 301 + k) for k, w in enumerate(between)]
+    found += [Scenario(f"other machine, {w / 1e3:.3g} kN", other, motion, w, 301 + k) for k, w in enumerate(on_other)]
     for k, factor in enumerate(HELD_OUT_SPEEDS):
         other_speed = plan.motion_at(factor, rate)
         if plan.motion is not None and not is_within(other_speed, description.limits):
@@ -141,6 +157,11 @@ def held_out_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
         found.append(Scenario(name, drive, other_speed, half, 401 + k))
     _require_possible(description, found)
     return found
+
+
+def _that_change(loads: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Those of these loads over time that change: under a single load, or none, they are what is constant already."""
+    return {name: over_time for name, over_time in loads.items() if np.ptp(over_time) > 0.0}
 
 
 def is_within(motion: Motion, limits: Limits) -> bool:

@@ -13,7 +13,7 @@ from diffdrive.controllers import Controller
 from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins
 from diffdrive.loop.smooth import smooth
 from diffdrive.numerics.arrays import as_arrays
-from tuning.gains.plan import ScenarioResult, TuningPlan, machines, run_scenario
+from tuning.gains.plan import ScenarioResult, TuningPlan, held_out_machine, run_scenario
 from tuning.gains.requirements import Constraints, LoopLimits, operating_points
 from tuning.gains.scenarios import Scenario
 from tuning.gains.setup import TuningSetup, margin_speeds
@@ -37,7 +37,7 @@ class ControllerMargins(NamedTuple):
 
 def margins_at(axis: Axis, controllers: Sequence[Controller], plan: TuningPlan) -> list[ControllerMargins]:
     """Margins of each controller, also on a machine, at loads and at speeds that were not tuned on."""
-    other = machines(axis.drive, 2, plan.spread, plan.seed + 1000)[1]
+    other = held_out_machine(axis.drive, plan)
     low, high = plan.loads
     between = [0.3e-3, 0.5 * plan.top_speed, 100e-3 if plan.top_speed < 50e-3 else 2.0 * plan.top_speed]
     tuned_at = operating_points([axis.drive], margin_speeds(plan), (low, high))

@@ -76,7 +76,7 @@ def tune(
     if not 0.0 <= low <= high:
         raise ParameterError(f"loads: give the lowest and the highest in N, such as (0.0, 12_600.0), got {loads!r}")
     plan = TuningPlan(
-        speed=speed, loads=(low, high), load_steps=load_steps if high > low else 1, spread=spread, machines=machines,
+        speed=speed, loads=(low, high), load_steps=load_steps, spread=spread, machines=machines,
         seed=seed, motion=motion,
     )  # fmt: skip
     if settle is not None or motion is not None:

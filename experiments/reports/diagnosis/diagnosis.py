@@ -140,7 +140,7 @@ def _pay(
     elif isinstance(description.controller, UnknownController):
         says = "Nothing to tune: the drive file does not know its controller."
     else:
-        plan = TuningPlan(loads=(0.0, max_load), load_steps=TuningPlan.load_steps if max_load > 0 else 1)
+        plan = TuningPlan(loads=(0.0, max_load))
         gains = payoff(report, description, read_axis(report.out / augmented), plan)
         says = summarise_payoff(gains)
         if details["verdict"] != "effect":

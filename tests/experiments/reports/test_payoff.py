@@ -12,7 +12,7 @@ from tests.support.sound_log import axis_of
 from tuning.gains.plan import TuningPlan
 
 DRIVE = axis_of(rate=4000.0, noise=2e-8)
-PLAN = TuningPlan(loads=(0.0, 0.0), load_steps=1, machines=1)
+PLAN = TuningPlan(loads=(0.0, 0.0), machines=1)
 
 
 @pytest.mark.slow

@@ -40,6 +40,20 @@ def test_held_out_scenarios_share_neither_load_nor_seed_with_those_tuned_on(desc
             assert not (same_load and same_motion and one.drive == other.drive)
 
 
+@pytest.mark.parametrize("load", [0.0, 8_000.0])
+def test_under_a_single_load_another_machine_is_held_out_and_nothing_comes_twice(description, load):
+    plan = TuningPlan(loads=(load, load))
+    on, off = training_scenarios(description, plan), held_out_scenarios(description, plan)
+    assert [one.name for one in on] == [f"{name}, {load / 1e3:g} kN" for name in ("nominal", "machine 1")]
+    (stranger,) = (one for one in off if one.name.startswith("other machine"))
+    assert stranger.drive not in [one.drive for one in on]
+    tried = [
+        (one.motion.position.tobytes(), np.broadcast_to(one.load, one.motion.time.shape).tobytes(), one.drive)
+        for one in on + off
+    ]
+    assert all(one not in tried[:k] for k, one in enumerate(tried))
+
+
 def test_the_held_out_machine_was_not_tuned_on(description):
     on = {tuple(jax.tree.leaves(one.drive)) for one in training_scenarios(description, TuningPlan(machines=4))}
     strangers = {
