@@ -1,13 +1,14 @@
 from .diagnosis.workflow import Cause, DiagnosisResult, diagnose
 from .gains.objective import Objective, register_aggregation
 from .gains.pareto import ParetoPoint, pareto_front
-from .gains.requirements import Requirements
+from .gains.requirements import AsGiven, Requirements
 from .gains.result import TuningResult
 from .gains.workflow import tune
 from .identification.workflow import IdentificationResult, identify
 from .sweeps.workflow import SweepResult, sweep
 
 __all__ = [
+    "AsGiven",
     "Cause",
     "DiagnosisResult",
     "IdentificationResult",

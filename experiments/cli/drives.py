@@ -85,10 +85,12 @@ def tune(
         typer.Option(callback=finite, min=1.0, help="Largest peak of the sensitivity, Ms; none by default."),
     ] = None,
     noise: Annotated[
-        str | None, typer.Option(help="Largest command noise, RMS; by default twice that of the gains as given.")
+        str | None,
+        typer.Option(help="Largest command noise, RMS, or none; by default twice that of the gains as given."),
     ] = None,
     load_error: Annotated[
-        str | None, typer.Option(help="Largest RMS load error; by default 1.1 times that of the gains as given.")
+        str | None,
+        typer.Option(help="Largest RMS load error, or none; by default 1.1 times that of the gains as given."),
     ] = None,
     peak: Annotated[
         float, typer.Option(callback=finite, min=0.0, help="Weight of the peak error beside the RMS error.")
@@ -131,12 +133,16 @@ def tune(
             f"--gain-margin {gain_margin:g}: must be at most {MAX_GAIN_MARGIN:.0f} dB, beyond which the loop's gain "
             "is lost in rounding; 6 to 12 dB are usual"
         )
+    limits = {
+        name: None if text.strip().lower() == "none" else nonnegative_number(text, "N", option)
+        for name, option, text in (
+            ("command_noise", "--noise", noise),
+            ("load_error", "--load-error", load_error),
+        )
+        if text is not None
+    }
     requirements = Requirements(
-        gain_margin=gain_margin,
-        phase_margin=phase_margin,
-        peak_sensitivity=sensitivity,
-        command_noise=None if noise is None else nonnegative_number(noise, "N", "--noise"),
-        load_error=None if load_error is None else nonnegative_number(load_error, "N", "--load-error"),
+        gain_margin=gain_margin, phase_margin=phase_margin, peak_sensitivity=sensitivity, **limits
     )
     speed_of_reversal = number(speed, "m/s", "--speed")
     front = numbers(pareto, "N", "--pareto") if pareto else []

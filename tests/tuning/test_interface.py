@@ -44,9 +44,16 @@ def test_an_effect_that_is_not_known_cannot_be_left_out():
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
-        ({"requirements": tuning.Requirements(gain_margin=1e3)}, "gain_margin: must be from 0 to"),
         ({"loads": (5.0, 1.0)}, "loads: give the lowest and the highest"),
+        ({"loads": (0.0, 12e3), "load_steps": 1}, "load_steps: must be a whole number from 2 on, got 1"),
+        ({"starts": 0}, "starts: must be a whole number from 1 on, got 0"),
         ({"starts": 10**12}, "starts"),
+        ({"max_steps": 0}, "max_steps: must be a whole number from 1 on, got 0"),
+        ({"machines": 0}, "machines: must be a whole number from 1 on, got 0"),
+        ({"spread": -0.1}, r"spread: must be from 0 to 0\.5, got -0\.1"),
+        ({"seed": -1}, "seed: must be a whole number from 0 on, got -1"),
+        ({"speed": 0.0}, r"speed: must be above 0 m/s, got 0\.0"),
+        ({"settle": np.nan}, "settle: must be at least 0 s, got nan"),
     ],
 )
 def test_a_tuning_that_cannot_be_is_refused_by_name(asked, says):

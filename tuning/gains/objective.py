@@ -7,7 +7,7 @@ is weighed by how much the number grows with its square (iteratively reweighted 
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from diffdrive.errors import ParameterError
 from diffdrive.loop.metrics import safe_sqrt
 from diffdrive.numerics.arrays import Scalar
+from diffdrive.support.bounds import require_number
 from diffdrive.support.registry import Registry
 from tuning.gains.scenarios import EnsembleSignals
 
@@ -78,18 +79,33 @@ def cvar(costs: Lanes) -> Scalar:
 AGGREGATIONS: Registry[Aggregation] = Registry("aggregation", {"mean": mean, "worst": worst, "cvar": cvar})
 
 
-class Objective(NamedTuple):
-    """Weights of the parts, each in cost per unit, and the name of the aggregation over the lanes."""
+@dataclass(frozen=True)
+class Objective:
+    """Weights of the parts, each in cost per unit, and the name of the aggregation over the lanes.
+
+    Raises:
+        ParameterError: A weight is negative, or all are zero; there is no such aggregation.
+
+    Examples:
+        >>> Objective(peak=5e5, aggregation="worst")
+
+    """
 
     error: float = 1e6  # per m of RMS tracking error: the cost is then in micrometres
     peak: float = 0.0  # per m of the smooth maximum of the tracking error
     load_error: float = 0.0  # per N of RMS load error
     aggregation: str = "mean"
 
-    def __call__(self, signals: EnsembleSignals) -> Scalar:
-        """The number."""
+    def __post_init__(self) -> None:
+        for name in ("error", "peak", "load_error"):
+            require_number(name, getattr(self, name), at_least=0.0)
+        if not (self.error or self.peak or self.load_error):
+            raise ParameterError("error, peak, load_error: all are zero, so that nothing is to be minimised")
         if self.aggregation not in AGGREGATIONS:
             raise ParameterError(f"no aggregation '{self.aggregation}'; known: {', '.join(AGGREGATIONS)}")
+
+    def __call__(self, signals: EnsembleSignals) -> Scalar:
+        """The number."""
         return AGGREGATIONS[self.aggregation](self.lane_costs(signals))
 
     def lane_costs(self, signals: EnsembleSignals) -> Lanes:
@@ -97,8 +113,8 @@ class Objective(NamedTuple):
         costs = self.error * rms(signals.error)
         if self.peak:
             costs = costs + self.peak * peak(signals.error)
-        if self.load_error and signals.load_error is not None:
-            costs = costs + self.load_error * rms(signals.load_error)
+        if self.load_error:
+            costs = costs + self.load_error * rms(signals.require_load_error("objective"))
         return costs
 
     def weights(self, signals: EnsembleSignals) -> EnsembleSignals:

@@ -11,7 +11,7 @@ from jaxtyping import Float, PyTree
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
-from diffdrive.errors import LoadEstimatorWarning, MotionError
+from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
 from diffdrive.loop import metrics
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate
@@ -23,12 +23,15 @@ from diffdrive.motion.load import validated_load
 from diffdrive.motion.motion import Limits, Motion, require_within
 from diffdrive.numerics.arrays import as_arrays
 from diffdrive.numerics.pipeline import require_shorter
+from diffdrive.support.bounds import require_count, require_number
+from diffdrive.support.messages import short_repr
 from tuning.gains.scenarios import Scenario
 
 OFF_GRID_FACTOR = 1.0137  # at a whole number of quanta a period a quantised loop locks on its grid
 HELD_OUT_SPEEDS = (0.7, 2.0)  # times the speed tuned at
 SETTLE = 0.4  # s: load estimators have found their load by then
 DURATION = 1.2  # s
+MAX_SPREAD = 0.5
 HELD_OUT_SEED = 1000  # beyond the seed of the machines tuned on
 
 
@@ -47,6 +50,18 @@ class TuningPlan:
     seed: int = 0
     motion: Motion | None = None
     settle: float = SETTLE
+
+    def __post_init__(self) -> None:
+        require_number("speed", self.speed, "m/s", above=0.0)
+        if not (np.shape(self.loads) == (2,) and 0.0 <= self.loads[0] <= self.loads[1] < np.inf):
+            raise ParameterError(
+                f"loads: give the lowest and the highest in N, such as (0.0, 12_600.0), got {short_repr(self.loads)}"
+            )
+        require_count("load_steps", self.load_steps, 1 if self.loads[0] == self.loads[1] else 2)
+        require_number("spread", self.spread, at_least=0.0, at_most=MAX_SPREAD)
+        require_count("machines", self.machines)
+        require_count("seed", self.seed, at_least=0)
+        require_number("settle", self.settle, "s", at_least=0.0)
 
     @property
     def training_loads(self) -> Float[np.ndarray, " n"]:

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
-from diffdrive.errors import ParameterError
 from diffdrive.loop.convergence import convergence_gain, innovation_load_observer
 from diffdrive.loop.linearise import OperatingPoint, open_loop
 from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins, margins
@@ -23,15 +22,17 @@ from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar, as_arrays
 from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
+from diffdrive.support.bounds import require_number
 from tuning.gains.objective import rms
 from tuning.gains.scenarios import EnsembleSignals
 
 MAX_GAIN_MARGIN = -20.0 * float(np.log10(np.finfo(float).eps))  # dB: beside a loop gain of more, 1 is rounding
 UNSTABLE = 20.0  # 1/s of growth that counts as much as a margin that is missed altogether
+USUAL_MARGINS, NO_LIMIT = "6 to 12 are usual", "None is no limit"
 
 
 class LoopLimits(NamedTuple):
-    """What is required; None: not required."""
+    """What is required, in SI units; None: no limit."""
 
     gain_up: float = 2.0  # factors
     gain_down: float = 2.0
@@ -39,55 +40,72 @@ class LoopLimits(NamedTuple):
     sensitivity: float | None = None  # peak of |1 / (1 + L)|
     command_noise: float | None = 20.0  # N, in every lane
     load_error: float | Float[np.ndarray, " lanes"] | None = None  # N of RMS, in every lane or in each
-    settling: float | None = 2.0  # s, in which an eq. (20) estimator forgets an error of the load to 1/e
+    settling: float | None = 2.0  # s, in which an eq. (20) estimator, where there is one, forgets an error to 1/e
 
 
-def check_limits(limits: LoopLimits) -> None:
-    """Raises `ParameterError` for limits that no loop can keep or that mean nothing."""
-    for name, value in limits._asdict().items():
-        least = 1.0 if name in ("gain_up", "gain_down", "sensitivity") else 0.0
-        if value is not None and not np.all(np.asarray(value) >= least):
-            raise ParameterError(f"the limit {name} must be at least {least:g}, got {np.min(np.asarray(value)):g}")
-        if value is not None and not np.all(np.isfinite(np.asarray(value))):
-            raise ParameterError(f"the limit {name} must be finite; None requires nothing")
-    most = 10.0 ** (MAX_GAIN_MARGIN / 20.0)
-    for name in ("gain_up", "gain_down"):
-        if getattr(limits, name) > most:
-            raise ParameterError(
-                f"the limit {name} must be at most {most:.2g}, beyond which gains are lost in rounding"
-            )
+@dataclass(frozen=True)
+class AsGiven:
+    """A limit relative to the gains as given: `factor` times what these reach in the scenarios that are tuned on."""
+
+    factor: float
+
+    def __post_init__(self) -> None:
+        require_number("AsGiven: factor", self.factor, above=0.0)
 
 
 @dataclass(frozen=True)
 class Requirements:
-    """What the tuned loop must keep, at every speed, direction and load; None: not required.
+    """What the tuned loop must keep, at every speed, direction and load; None: no limit.
 
     Margins are those of the linearised loop, delay and observer included. `command_noise` is the RMS of the command's
-    change from sample to sample over the square root of two; by default twice that of the gains as given. `load_error`
-    is the RMS error of the load estimate; by default 1.1 times that of the gains as given, scenario by scenario.
+    change from sample to sample over the square root of two. `load_error` is the RMS error of the load estimate. Both
+    hold in every scenario. A number is in N; `AsGiven(2.0)` is twice the largest noise of the gains as given, and for
+    the load error twice theirs, scenario by scenario.
+
+    A controller without a load estimate keeps the defaults of `load_error` and `load_settling`; any other value of them
+    is refused, since nothing would check it.
+
+    Raises:
+        ParameterError: No loop can keep it, or it is no number.
+
+    Examples:
+        >>> Requirements(phase_margin=35.0, command_noise=20.0)
+        >>> Requirements(command_noise=None)  # the margins alone limit it
+        >>> Requirements(command_noise=AsGiven(1.0))  # as quiet as it is
+
     """
 
     gain_margin: float = 6.0  # dB, up and down
     phase_margin: float = 30.0  # deg
     peak_sensitivity: float | None = None  # largest |1 / (1 + L)|
-    command_noise: float | None = None  # N
-    load_error: float | None = None  # N
+    command_noise: float | AsGiven | None = AsGiven(2.0)  # N
+    load_error: float | AsGiven | None = AsGiven(1.1)  # N
     load_settling: float | None = 2.0  # s, in which an estimator as eq. (20) forgets an error of the load to 1/e
 
-    def limits(self) -> LoopLimits:
-        """As factors and radians; raises `ParameterError` for what no loop can keep."""
-        if not 0.0 <= self.gain_margin <= MAX_GAIN_MARGIN:
-            raise ParameterError(
-                f"gain_margin: must be from 0 to {MAX_GAIN_MARGIN:.0f} dB, got {self.gain_margin:g}; 6 to 12 are usual"
-            )
+    def __post_init__(self) -> None:
+        # beyond the largest gain margin gains are lost in rounding
+        require_number("gain_margin", self.gain_margin, "dB", at_least=0.0, at_most=MAX_GAIN_MARGIN, hint=USUAL_MARGINS)
+        require_number("phase_margin", self.phase_margin, "degrees", at_least=0.0, at_most=90.0)
+        if self.peak_sensitivity is not None:
+            require_number("peak_sensitivity", self.peak_sensitivity, at_least=1.0, hint=NO_LIMIT)
+        for name, unit in (("command_noise", "N"), ("load_error", "N"), ("load_settling", "s")):
+            limit = getattr(self, name)
+            if limit is not None and not isinstance(limit, AsGiven):
+                require_number(name, limit, unit, above=0.0, hint=NO_LIMIT)
+
+    def states(self, name: str) -> bool:
+        """Whether this requirement is one of the caller's: not its default, and not None, which requires nothing."""
+        limit = getattr(self, name)
+        return limit is not None and limit != getattr(type(self), name)
+
+    def limits(self, command_noise: float | None, load_error: Float[np.ndarray, " lanes"] | float | None) -> LoopLimits:
+        """As factors and radians, with these limits of the signals (N): those of `AsGiven` hang on simulations."""
         factor = 10.0 ** (self.gain_margin / 20.0)
-        required = LoopLimits(
+        return LoopLimits(
             gain_up=factor, gain_down=factor, phase=float(np.radians(self.phase_margin)),
-            sensitivity=self.peak_sensitivity, command_noise=self.command_noise, load_error=self.load_error,
+            sensitivity=self.peak_sensitivity, command_noise=command_noise, load_error=load_error,
             settling=self.load_settling,
         )  # fmt: skip
-        check_limits(required)
-        return required
 
 
 class OperatingPoints(NamedTuple):
@@ -167,8 +185,8 @@ class Constraints(eqx.Module):
         limits, found = self.limits, {}
         if limits.command_noise is not None:
             found["command noise"] = signals.command_change / limits.command_noise
-        if limits.load_error is not None and signals.load_error is not None:
-            found["load error"] = signals.load_error / jnp.reshape(limits.load_error, (-1, 1))
+        if limits.load_error is not None:
+            found["load error"] = signals.require_load_error("requirements") / jnp.reshape(limits.load_error, (-1, 1))
         return found
 
     def signal_constraints(self, signals: EnsembleSignals) -> dict[str, Float[Array, " lanes"]]:

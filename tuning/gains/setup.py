@@ -3,21 +3,24 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.controllers import FrictionCompensation
+from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import ParameterError
+from diffdrive.loop.convergence import innovation_load_observer
+from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Sampling
+from diffdrive.numerics.arrays import as_arrays
+from tuning.gains.objective import Objective
 from tuning.gains.plan import TuningPlan, held_out_scenarios, run_scenario, training_scenarios
-from tuning.gains.requirements import Constraints, LoopLimits, check_limits, operating_points
-from tuning.gains.scenarios import Ensemble, Scenario, ensemble
+from tuning.gains.requirements import AsGiven, Constraints, LoopLimits, Requirements, operating_points
+from tuning.gains.scenarios import Ensemble, EnsembleSignals, Scenario, ensemble
 from tuning.gains.tune import default_space, gain_factors
 from tuning.optimisation.space import SearchSpace
 
 SPEEDS = (0.0, 1e-3, 3e-3, 1.0, 2.0)  # m/s, where margins are looked at; from 1 on, times the speed tuned at
-# times the command noise, and the load error, of the gains as given: where no limit is stated
-DEFAULT_NOISE_FACTOR, DEFAULT_LOAD_ERROR_FACTOR = 2.0, 1.1
 
 
 class TuningSetup(NamedTuple):
@@ -34,15 +37,23 @@ class TuningSetup(NamedTuple):
     notes: tuple[str, ...]
 
 
-def set_up(axis: Axis, plan: TuningPlan, required: LoopLimits, *, friction: bool = False) -> TuningSetup:
+def set_up(
+    axis: Axis,
+    plan: TuningPlan,
+    requirements: Requirements = Requirements(),
+    objective: Objective = Objective(),
+    *,
+    friction: bool = False,
+) -> TuningSetup:
     """Scenarios, constraints and search space of a tuning as planned. Raises `ParameterError` and `MotionError`."""
-    check_limits(required)
     if friction and not isinstance(axis.controller, FrictionCompensation):
         raise ParameterError("friction: this controller observes no friction that could be tuned along")
     training, held_out_runs = training_scenarios(axis, plan), held_out_scenarios(axis, plan)
     coarse = Sampling(axis.rate, max(2, -(-axis.sampling.plant_steps // 2)))
     lanes = ensemble(training, coarse, settle=plan.settle)
-    required, notes = _with_default_limits(axis, required, training, plan.settle)
+    signals = eqx.filter_eval_shape(lanes.signals, as_arrays(smooth(axis.controller)))  # nothing is simulated
+    _require_shown(axis.controller, signals, requirements, objective)
+    limits, notes = _limits(axis, requirements, signals, training, plan.settle)
     speeds = margin_speeds(plan)
     grid = operating_points([axis.drive], speeds, plan.loads)
     space = default_space(axis.controller, friction=friction)
@@ -51,33 +62,55 @@ def set_up(axis: Axis, plan: TuningPlan, required: LoopLimits, *, friction: bool
     ):
         notes.append(f"0 in the drive file, and so not tuned, since no factor leads away from it: {', '.join(left)}.")
     return TuningSetup(
-        training, held_out_runs, lanes, required, Constraints(required, grid, coarse), space, speeds, friction,
+        training, held_out_runs, lanes, limits, Constraints(limits, grid, coarse), space, speeds, friction,
         tuple(notes),
     )  # fmt: skip
 
 
-def _with_default_limits(
-    axis: Axis, required: LoopLimits, training: Sequence[Scenario], settle: float
+def _require_shown(
+    controller: Controller, signals: EnsembleSignals, requirements: Requirements, objective: Objective
+) -> None:
+    """Raise `ParameterError` for what is asked for and cannot be seen of this controller: it would count as kept."""
+    if requirements.states("load_error"):
+        signals.require_load_error("requirements")
+    if objective.load_error:
+        signals.require_load_error("objective")
+    if requirements.states("load_settling") and innovation_load_observer(controller) is None:
+        raise ParameterError(
+            "requirements: load_settling: this controller has no load estimator as eq. (20) that could be kept to it"
+        )
+
+
+def _limits(
+    axis: Axis, requirements: Requirements, signals: EnsembleSignals, training: Sequence[Scenario], settle: float
 ) -> tuple[LoopLimits, list[str]]:
-    """Limits that were not given, from what the gains as given do; and what to say of them."""
-    notes = []
-    before = [run_scenario(axis.controller, scenario, axis.sampling, settle) for scenario in training]
-    if required.command_noise is None:
-        noise = DEFAULT_NOISE_FACTOR * max(result.command_noise for result in before)
-        required = required._replace(command_noise=noise)
-        notes.append(
-            f"Command noise is limited to {DEFAULT_NOISE_FACTOR:g} times that of the gains as given: {noise:.3g} N."
+    """The requirements as limits, those relative to the gains as given from what these do; and what to say of them."""
+    noise, load_error = requirements.command_noise, requirements.load_error
+    if signals.load_error is None:
+        load_error = None
+    is_relative = isinstance(noise, AsGiven) or isinstance(load_error, AsGiven)
+    scenarios = training if is_relative else ()
+    before = [run_scenario(axis.controller, scenario, axis.sampling, settle) for scenario in scenarios]
+    notes: list[str] = []
+    if isinstance(noise, AsGiven):
+        factor, noise = noise.factor, noise.factor * max(result.command_noise for result in before)
+        _require_finite("command_noise", noise)
+        notes.append(f"Command noise is limited to {factor:g} times that of the gains as given: {noise:.3g} N.")
+    if not isinstance(load_error, AsGiven):
+        return requirements.limits(noise, load_error), notes
+    factor = load_error.factor
+    errors = np.array([factor * result.load_error for result in before if result.load_error is not None])
+    _require_finite("load_error", errors)
+    notes.append(f"The load error in each scenario is limited to {factor:g} times that of the gains as given.")
+    return requirements.limits(noise, errors), notes
+
+
+def _require_finite(name: str, limit: float | np.ndarray) -> None:
+    if not np.all(np.isfinite(limit)):
+        raise ParameterError(
+            f"requirements: {name}: the loop diverges with the gains as given, and no limit is relative to that: state "
+            "it in N, or None for no limit"
         )
-    if required.load_error is None and before[0].load_error is not None:
-        errors = np.array(
-            [DEFAULT_LOAD_ERROR_FACTOR * result.load_error for result in before if result.load_error is not None]
-        )
-        required = required._replace(load_error=errors)
-        notes.append(
-            f"The load error in each scenario is limited to {DEFAULT_LOAD_ERROR_FACTOR:g} times that of the gains as "
-            "given."
-        )
-    return required, notes
 
 
 def margin_speeds(plan: TuningPlan) -> tuple[float, ...]:

@@ -18,6 +18,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.quantity import check
 from diffdrive.numerics.arrays import as_arrays, require_double_precision
+from diffdrive.support.bounds import require_count
 from diffdrive.support.resources import format_count, require_memory
 from tuning.gains.checkpoint import Checkpoint
 from tuning.gains.constrained import ConstrainedGains, DesignPoint, evaluate, tuning_problem
@@ -29,8 +30,9 @@ from tuning.optimisation.least_squares import StepProgress, no_progress
 from tuning.optimisation.space import SearchSpace, space_around
 
 FRICTION_FACTOR = 1.5  # of the observer's friction parameters, when these are tuned along
-STARTS = 4
+STARTS, MAX_STEPS = 4, 40
 START_STD = 1.0  # units of theta
+BYTES_PER_START = 1e4  # bytes: what is known of a start before any is searched from
 TOLERATED_LOSS = 0.05  # share of the objective
 MAX_TOLERANCE = 1e3  # what is said of a gain that may move as far as it likes
 
@@ -56,6 +58,22 @@ def gain_factors(controller: Controller, *, friction: bool = False) -> dict[str,
                 for side in ("positive", "negative")
             }  # fmt: skip
     return factors
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """How much is searched; raises `ParameterError` for no start, no step, or more starts than fit into memory."""
+
+    starts: int = STARTS  # the gains as given, and points drawn about them
+    seed: int = 0  # of these points
+    max_steps: int = MAX_STEPS  # of the search from each
+
+    def __post_init__(self) -> None:
+        require_count("starts", self.starts)
+        require_count("seed", self.seed, at_least=0)
+        require_count("max_steps", self.max_steps)
+        needed = BYTES_PER_START * self.starts
+        require_memory(ParameterError, f"{format_count(self.starts)} starts", needed, "give fewer")
 
 
 @dataclass(frozen=True)
@@ -118,9 +136,7 @@ def tune(
     space: SearchSpace | None = None,
     *,
     objective: Objective = Objective(),
-    starts: int = STARTS,
-    seed: int = 0,
-    max_steps: int = 40,
+    options: SearchOptions = SearchOptions(),
     checkpoint: Path | None = None,
     progress: StepProgress = no_progress,
 ) -> GainSearch:
@@ -134,11 +150,10 @@ def tune(
     """
     require_double_precision()
     check(controller)
-    require_starts(starts)
     space = default_space(controller) if space is None else space
     gains = ConstrainedGains(space.free, objective)
     problem = tuning_problem(as_arrays(smooth(controller)), space, scenarios, requirements)
-    points = _start_points(len(space.free), starts, seed)
+    points = _start_points(len(space.free), options)
     checkpoints = Checkpoint(checkpoint, (space, problem, objective, points))
     started = time.perf_counter()
     start_points = [
@@ -148,14 +163,14 @@ def tune(
     screening = time.perf_counter() - started
     order = np.argsort([float(point.penalised_objective) for point in start_points])
     results: list[SearchResult] = []
-    objectives = np.full(starts, np.inf)
+    objectives = np.full(options.starts, np.inf)
     for k in order:
         start = checkpoints.state_of(int(k)) or SearchState(tuple(float(value) for value in points[k]))
         result = search(
             gains,
             problem,
             start,
-            max_steps=max_steps,
+            max_steps=options.max_steps,
             progress=progress,
             keep=functools.partial(checkpoints.save, int(k)),
         )
@@ -171,16 +186,8 @@ def tune(
     return _gain_search(controller, space, best, start_points[0], results, objectives, screening)
 
 
-BYTES_PER_START = 1e4  # bytes: what is known of a start before any is searched from
-
-
-def require_starts(starts: int) -> None:
-    """Raise `ParameterError` for more starts than fit into memory; looking at one takes a tenth of a second or more."""
-    require_memory(ParameterError, f"{format_count(starts)} starts", BYTES_PER_START * starts, "give fewer")
-
-
-def _start_points(count: int, starts: int, seed: int) -> Float[np.ndarray, "s k"]:
-    others = START_STD * np.random.default_rng(seed).normal(size=(max(0, starts - 1), count))
+def _start_points(count: int, options: SearchOptions) -> Float[np.ndarray, "s k"]:
+    others = START_STD * np.random.default_rng(options.seed).normal(size=(options.starts - 1, count))
     return np.vstack([np.zeros((1, count)), others])
 
 

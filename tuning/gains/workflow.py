@@ -1,17 +1,15 @@
 """`tuning.tune`: gains by gradient within requirements, proved on what they were not tuned on."""
 
-from dataclasses import replace
 from pathlib import Path
 
 from diffdrive.axis import Axis
-from diffdrive.errors import ParameterError
 from diffdrive.motion.motion import Motion
 from tuning.gains.objective import Objective
-from tuning.gains.plan import TuningPlan
+from tuning.gains.plan import SETTLE, TuningPlan
 from tuning.gains.requirements import Requirements
 from tuning.gains.result import TuningResult, tuning_result
 from tuning.gains.setup import set_up
-from tuning.gains.tune import STARTS, require_starts
+from tuning.gains.tune import MAX_STEPS, STARTS, SearchOptions
 from tuning.gains.tune import tune as search_gains
 from tuning.gains.verification import margins_at, verify
 from tuning.progress import Progress, reporting, searching
@@ -32,7 +30,7 @@ def tune(
     settle: float | None = None,
     starts: int = STARTS,
     seed: int = 0,
-    max_steps: int = 40,
+    max_steps: int = MAX_STEPS,
     checkpoint: Path | None = None,
     progress: Progress | None = None,
     throw: bool = False,
@@ -47,11 +45,11 @@ def tune(
         motion: What it is tuned on, at the axis's rate; by default a reversal at `speed`.
         speed: Of that reversal (m/s).
         loads: Lowest and highest force on the guides (N).
-        load_steps: Loads that it is tuned under, evenly spaced between these two.
+        load_steps: Loads that it is tuned under, evenly spaced between these two; at least 2 where they differ.
         requirements: Margins, command noise and load error that the tuned loop must keep.
         objective: What is minimised; by default the RMS tracking error.
         friction: Tune what the observer believes of the friction along.
-        spread: Relative difference of the machines' parameters from the axis's.
+        spread: Relative deviation of the machines' parameters from the axis's, at most 0.5.
         machines: How many machines it is tuned on, the axis's own among them.
         settle: From when on errors count (s); by default a third of the motion, at most 0.4 s.
         starts: Starting points of the search.
@@ -62,7 +60,7 @@ def tune(
         throw: Raise an error where the result is not accepted.
 
     Raises:
-        ParameterError: What is asked for cannot be tuned, or kept by any loop.
+        ParameterError: What is asked for cannot be tuned, kept by any loop, or seen of this controller.
         MotionError: The motion leaves the axis's limits.
         ResultError: The result is not accepted, with `throw`.
 
@@ -72,23 +70,19 @@ def tune(
         >>> best.axis.write("tuned.toml")
 
     """
-    low, high = loads
-    if not 0.0 <= low <= high:
-        raise ParameterError(f"loads: give the lowest and the highest in N, such as (0.0, 12_600.0), got {loads!r}")
+    if settle is None:
+        settle = SETTLE if motion is None else min(SETTLE, motion.duration / 3.0)
     plan = TuningPlan(
-        speed=speed, loads=(low, high), load_steps=load_steps, spread=spread, machines=machines,
-        seed=seed, motion=motion,
+        speed=speed, loads=loads, load_steps=load_steps, spread=spread, machines=machines, seed=seed, motion=motion,
+        settle=settle,
     )  # fmt: skip
-    if settle is not None or motion is not None:
-        third = 0.0 if motion is None else motion.duration / 3.0
-        plan = replace(plan, settle=min(plan.settle, third) if settle is None else settle)
-    require_starts(starts)
+    options = SearchOptions(starts, seed, max_steps)
     with reporting(progress) as tell:
-        prepared = set_up(axis, plan, requirements.limits(), friction=friction)
+        prepared = set_up(axis, plan, requirements, objective, friction=friction)
         with searching(tell, f"tuning {len(prepared.space.names)} gains by gradient") as step:
             tuned = search_gains(
                 axis.controller, prepared.lanes, prepared.constraints, prepared.space, objective=objective,
-                starts=starts, seed=seed, max_steps=max_steps, checkpoint=checkpoint, progress=step,
+                options=options, checkpoint=checkpoint, progress=step,
             )  # fmt: skip
         tell("verifying on the exact simulator", 0, 1)
         margins = margins_at(axis, [axis.controller, tuned.controller], plan)

@@ -110,6 +110,8 @@ def test_quieter_costs_tracking(done):
         ("--max-load", "-90 kN", "load"),
         ("--noise", "-3 N", "--noise -3 N: must be 0 or more"),
         ("--load-error", "-1 N", "--load-error -1 N: must be 0 or more"),
+        ("--load-error", "100 N", "load_error: this controller estimates no load"),
+        ("--noise", "0 N", "command_noise: must be above 0 N"),
     ],
 )
 def test_a_bad_option_is_named(drive_file, option, value, says):

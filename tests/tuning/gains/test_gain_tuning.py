@@ -24,7 +24,7 @@ from tuning.gains.sequential import (
     _solve_subproblem,
     search,
 )
-from tuning.gains.tune import default_space, tune
+from tuning.gains.tune import SearchOptions, default_space, tune
 from tuning.optimisation.space import search_space
 
 CONTROLLERS = ["PD", "DOBVSC", "PD+FF+DOB", "PD+FC", "PD+FC+LE", "PD+FC+LS"]
@@ -159,7 +159,7 @@ def test_what_binds_is_named_and_is_worth_what_is_said(usual):
 
 def test_what_cannot_be_kept_is_said_with_by_how_much():
     both = LoopLimits(phase=np.radians(80.0), gain_up=20.0, gain_down=20.0, command_noise=2.0)
-    found = tuned(both, starts=1, max_steps=8)
+    found = tuned(both, options=SearchOptions(starts=1, max_steps=8))
     assert not found.feasible
     assert found.violated
     assert all(share > FEASIBILITY_TOLERANCE for share in found.violated.values())
@@ -221,7 +221,7 @@ def test_an_interrupted_tuning_returns_the_best_so_far():
 
 
 def test_a_search_that_runs_out_of_steps_says_so():
-    assert tuned(max_steps=2).status == "stopped after 2 steps"
+    assert tuned(options=SearchOptions(max_steps=2)).status == "stopped after 2 steps"
 
 
 def test_a_start_that_diverges_is_reported_and_not_searched():

@@ -102,11 +102,6 @@ def test_the_packages_aggregations_are_not_replaced():
     assert AGGREGATIONS["mean"] is mean
 
 
-def test_an_unknown_aggregation_is_refused_with_those_that_there_are():
-    with pytest.raises(ParameterError, match="no aggregation 'median'; known: mean, worst, cvar"):
-        Objective(aggregation="median")(made_up(0))
-
-
 def test_scenarios_that_cannot_stand_side_by_side_are_refused():
     longer = triangular(speed=0.010, stroke=0.0009, rounding=0.02, duration=0.2, rate=10_000.0)
     with pytest.raises(MotionError, match=r"longer: 2001 samples .* make their motions equally long"):
