@@ -1,7 +1,5 @@
 """A sweep as it was asked for, and the costs of any part of it."""
 
-import hashlib
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -24,11 +22,12 @@ from diffdrive.model.parameters import Drive
 from diffdrive.motion.load import Ramp, require_resolved_friction
 from diffdrive.motion.motion import Motion, require_within
 from diffdrive.motion.text import Recipe, load_recipe, parse_load, require_longer_than
-from diffdrive.numerics.arrays import require_double_precision
+from diffdrive.numerics.arrays import as_arrays, require_double_precision
 from diffdrive.runtime import arithmetic_signature
 from diffdrive.support.rates import is_same_rate
 from diffdrive.support.resources import require_memory
 from tuning.store.edition import code_digest
+from tuning.store.store import digest
 from tuning.sweeps.courses import (
     DutyCycle,
     DutyCycles,
@@ -346,34 +345,26 @@ class SweepPlan:
 
     def identity(self) -> str:
         """What tells this sweep from any other: everything that its numbers hang on."""
-        text = hashlib.sha256(
-            code_digest(
-                *(
-                    definition.__module__
-                    for definition in (SweepPlan, DutyCycles, lane_costs, machines, parse_varied, unit_samples)
-                )
-            ).encode()
-        )
-        settings: list[object] = [
+        definitions = (SweepPlan, DutyCycles, lane_costs, machines, parse_varied, unit_samples)
+        recipes = (None if recipe is None else (recipe.kind, recipe.settings) for recipe in self.recipes.values())
+        return digest(
+            code_digest(*(definition.__module__ for definition in definitions)),
             arithmetic_signature(),
-            self.method,
-            self.seed,
-            self.samples,
-            self.part_size,
-            self.load,
-            self.settle,
-            self.precision,
+            *(self.method, self.seed, self.samples, self.part_size, self.load, self.settle, self.precision),
             [quantity.text for quantity in self.varied],
-        ]
-        settings += [{name: dict(others) for name, others in self.correlation.items()}]
-        settings += [None if recipe is None else [recipe.kind, recipe.settings] for recipe in self.recipes.values()]
-        text.update(json.dumps(settings).encode())
-        models = (self.axis.drive, self.axis.sampling, dict(self.controllers))
-        text.update(repr(self.axis.limits).encode())  # they say what has diverged
-        text.update(repr(jax.tree.map(lambda leaf: np.asarray(leaf).tolist(), models)).encode())
-        for name, motion in self.motions.items():
-            text.update(name.encode() + np.ascontiguousarray(motion.position).tobytes())
-        return text.hexdigest()
+            {name: dict(others) for name, others in self.correlation.items()},
+            list(recipes),
+            # which numbers are floats, and which are arrays, is no part of them
+            np.array([*self.axis.limits.stroke, self.axis.limits.speed, self.axis.limits.acceleration], float),
+            (float(self.axis.sampling.rate), self.axis.sampling.plant_steps),
+            as_arrays((self.axis.drive, dict(self.controllers))),
+            {name: np.array(_signals(motion), float) for name, motion in self.motions.items()},
+        )
+
+
+def _signals(motion: Motion) -> tuple[np.ndarray, ...]:
+    """All that a loop takes of a motion: velocity and acceleration drive the feed-forward."""
+    return motion.time, motion.position, motion.velocity, motion.acceleration
 
 
 def _outcome(costs: Costs, samples: np.ndarray, period: float) -> SweepCosts:

@@ -102,6 +102,34 @@ def test_the_parts_of_another_sweep_are_not_overwritten(tmp_path, monkeypatch):
     assert part_path(tmp_path, 0).read_bytes() == before
 
 
+def test_all_that_a_sweep_follows_from_tells_it_apart():
+    """Of a motion each signal: the feed-forward takes velocity and acceleration as they are."""
+
+    def moved(**signals):
+        return dataclasses.replace(plan(), motions={"sine": dataclasses.replace(MOTIONS["sine"], **signals)})
+
+    sine = MOTIONS["sine"]
+    others = [
+        plan(),
+        moved(position=2.0 * sine.position),
+        moved(velocity=np.zeros_like(sine.velocity)),
+        moved(acceleration=np.zeros_like(sine.acceleration)),
+        moved(time=sine.time + 1.0),
+        plan(load="1"),
+        plan(settle=0.01),
+        plan(precision="single"),
+        plan(correlation={"plant.mass": {"load": 0.5}}),
+        dataclasses.replace(plan(), axis=dataclasses.replace(AXIS, sampling=Sampling(1e4, 2))),
+        dataclasses.replace(plan(), axis=dataclasses.replace(AXIS, limits=Limits(speed=3.0))),
+        dataclasses.replace(plan(), axis=AXIS.replace({"plant.mass": 90.0})),
+        dataclasses.replace(plan(), controllers={"PD": CONTROLLERS["PD"]}),
+        dataclasses.replace(plan(), controllers=CONTROLLERS | {"PD": AXIS.with_gains(kp=1.0).controller}),
+    ]
+    assert len({other.identity() for other in others}) == len(others)
+    whole = dataclasses.replace(plan(), axis=dataclasses.replace(AXIS, sampling=Sampling(10_000, 1)))
+    assert whole.identity() == plan().identity()  # the same numbers
+
+
 def test_a_sweep_with_more_machines_begins_with_the_same_ones(tmp_path):
     few, many = (rows(run_parts(plan(n, method="sobol"), tmp_path / str(n), lambda done: None)) for n in (8, 16))
     assert few.num_rows == 16
