@@ -5,7 +5,8 @@ from .gains.requirements import AsGiven, Requirements
 from .gains.result import TuningResult
 from .gains.workflow import tune
 from .identification.workflow import IdentificationResult, identify
-from .sweeps.workflow import SweepResult, sweep
+from .sweeps.result import SweepResult
+from .sweeps.workflow import sweep
 
 __all__ = [
     "AsGiven",

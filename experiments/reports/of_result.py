@@ -21,7 +21,7 @@ from experiments.reports.tuning import report_tuning
 from tuning.diagnosis.workflow import DiagnosisResult
 from tuning.gains.result import TuningResult
 from tuning.identification.workflow import IdentificationResult
-from tuning.sweeps.workflow import SweepResult
+from tuning.sweeps.result import SweepResult
 
 
 def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:

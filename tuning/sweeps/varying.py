@@ -1,8 +1,7 @@
 """What varies in a sweep from what a user gives: quantities one by one, all of them together, or an identification."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -10,10 +9,8 @@ from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import ParameterError
 from diffdrive.model.quantity import quantities
 from diffdrive.motion.text import number
-from diffdrive.support.text_file import read_toml
+from tuning.sweeps.identified import Correlation, read_uncertainty
 from tuning.sweeps.varied import MAX_LOG_DEVIATION, known_quantities
-
-Correlation = Mapping[str, Mapping[str, float]]
 
 DEFAULT_SPREAD = "2%"
 
@@ -75,19 +72,6 @@ def _spread(drive: Path, spread: str, there: Sequence[str]) -> list[str]:
     names = [name for name, _, _ in quantities(axis) if name.startswith(("plant.", "friction."))]
     left = [quantity for name in names for quantity in (_sides(name) if taken & {*_sides(name)} else [name])]
     return [f"{name}=lognormal:{percent}" for name in left if name not in taken and known[name].is_scalable]
-
-
-def read_uncertainty(path: Path) -> tuple[list[str], Correlation]:
-    """What an identification left open: its file uncertainty.toml."""
-    tables = read_toml(path, ParameterError, "`diffdrive identify --out FOLDER` writes it")
-    try:
-        vary = [f"{name}={text}" for name, text in cast(Mapping[str, str], tables["vary"]).items()]
-        correlations = cast(Correlation, tables.get("correlation", {}))
-        return vary, {
-            quantity: {other: float(value) for other, value in of.items()} for quantity, of in correlations.items()
-        }
-    except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as problem:
-        raise ParameterError(f"{path}: is no uncertainty.toml of an identification: {problem}") from None
 
 
 def tolerance_of(text: str | None) -> float | None:

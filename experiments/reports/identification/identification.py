@@ -16,7 +16,6 @@ from experiments.reports.axis_file import write_axis_file
 from experiments.reports.checked_logs import axis_with_overrides, parse_loads, read_sound_logs
 from experiments.reports.identification.figures import save_identification_figures
 from experiments.reports.identification.gap_table import gap_table
-from experiments.reports.identification.left_open import write_uncertainty
 from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.report import Report
 from tuning.identification import inverse_dynamics
@@ -28,6 +27,7 @@ from tuning.identification.refinement import was_interrupted
 from tuning.identification.scale_noise import unstated_noise
 from tuning.identification.workflow import IdentificationResult, identify
 from tuning.store.folder import FolderStore
+from tuning.sweeps.identified import write_uncertainty
 
 SEARCHED = {searched: name for name, searched in NAMES.items()} | {"coulomb": "coulomb_at_no_load"}
 PARTS = "identification.parts"  # finished searches, from which the same command continues

@@ -19,10 +19,11 @@ from tuning.sweeps.engine import Precision
 from tuning.sweeps.parts import ComputedParts, Engine, Notify, in_process, stored_errors
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.replay import SIGNALS, choose_names, machine_run, repeat_costs, run_errors, sweep_machine, traces
+from tuning.sweeps.result import SweepResult, group_influences
 from tuning.sweeps.samples import Method
 from tuning.sweeps.spec import FILE, SweepSpec, read_spec, write_spec
 from tuning.sweeps.summary import ERRORS, Group, first_to_diverge, worst
-from tuning.sweeps.workflow import PARTS, SweepResult, group_influences, require_runnable, run_plan
+from tuning.sweeps.workflow import PARTS, require_runnable, run_plan
 
 ALIKE = 0.01  # of RMS and peak error: what the signals of a machine by itself may be off
 

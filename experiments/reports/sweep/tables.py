@@ -7,6 +7,7 @@ import numpy as np
 from experiments.reports.readable import significant, unit_of
 from experiments.reports.report import Report
 from tuning.sweeps.plan import SweepPlan
+from tuning.sweeps.result import varied_values
 from tuning.sweeps.sensitivity import MIN_MACHINES, Influence, influences_on_event
 from tuning.sweeps.summary import (
     ERRORS,
@@ -19,7 +20,6 @@ from tuning.sweeps.summary import (
     quantile,
     worst,
 )
-from tuning.sweeps.workflow import varied_values
 
 RANGE_DIGITS = 3  # of a quantile whose interval stands beside it
 LISTED = 5  # worst machines that are named

@@ -1,14 +1,20 @@
 """What an identification left open, as what a sweep varies: uncertainty.toml."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import tomli_w
 
+from diffdrive.errors import ParameterError
 from diffdrive.support.atomic_write import write_text
+from diffdrive.support.text_file import read_toml
 from tuning.identification.estimates import LINEAR, ParameterEstimate
 from tuning.identification.identify import Identification
 from tuning.sweeps.varied import MAX_LOG_DEVIATION
+
+Correlation = Mapping[str, Mapping[str, float]]
 
 FILE = "uncertainty.toml"
 NOT_IN_A_FILE = ("coulomb_at_no_load", "delay")  # the first is told by others, the second is no number of its own
@@ -54,3 +60,16 @@ def _distribution(one: ParameterEstimate, deviation: float) -> str:
 def write_uncertainty(folder: Path, found: Identification) -> None:
     """As a file."""
     write_text(folder / FILE, tomli_w.dumps(uncertainty(found)))
+
+
+def read_uncertainty(path: Path) -> tuple[list[str], Correlation]:
+    """What an identification left open: its file uncertainty.toml."""
+    tables = read_toml(path, ParameterError, "`diffdrive identify --out FOLDER` writes it")
+    try:
+        vary = [f"{name}={text}" for name, text in cast(Mapping[str, str], tables["vary"]).items()]
+        correlations = cast(Correlation, tables.get("correlation", {}))
+        return vary, {
+            quantity: {other: float(value) for other, value in of.items()} for quantity, of in correlations.items()
+        }
+    except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as problem:
+        raise ParameterError(f"{path}: is no uncertainty.toml of an identification: {problem}") from None
