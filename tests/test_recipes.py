@@ -111,7 +111,7 @@ def test_an_effect_is_simulated_swept_and_differentiated(shop):
     slope, difference = float(jax.grad(error)(25.0)), float(error(25.01) - error(24.99)) / 0.02
     assert slope == pytest.approx(difference, rel=1e-4)
     assert slope != 0.0
-    found = tuning.sweep(AXIS, LAP, vary={"effects.counterbalance.force": "uniform:-60..60 N"}, samples=8)
+    found = tuning.sweep(AXIS, LAP, vary={"effects.counterbalance.force": "uniform:-60..60 N"}, samples=8, settle=0.0)
     assert len(set(found.frame.to_pandas().peak_m)) == 8
 
 
@@ -148,7 +148,7 @@ def test_a_controller_is_simulated_written_and_swept(shop, tmp_path):
     assert dd.read_axis(tmp_path / "axis.toml").controller == axis.controller
     (tmp_path / "template.toml").write_text(told("template", "--controller", "damped"))
     assert dd.read_axis(tmp_path / "template.toml").gains == dd.paper_axis("damped").gains == {"kp": 8e6, "kd": 16e3}
-    found = tuning.sweep(axis, LAP, against={"pd": AXIS}, vary={"plant.mass": "lognormal:3%"}, samples=8)
+    found = tuning.sweep(axis, LAP, against={"pd": AXIS}, vary={"plant.mass": "lognormal:3%"}, samples=8, settle=0.0)
     assert len(found.frame) == 16
 
 

@@ -271,16 +271,24 @@ def axis_tables(axis: Axis) -> dict[str, TomlTable]:
     return tables | mapping_tables(axis.mapping)
 
 
-def write_axis(path: str | Path, axis: Axis, comments: Sequence[str] = ()) -> None:
-    """Write a drive file in SI units, below lines of comments; raises `DriveFileError` if no file can hold the axis."""
+def faithful_tables(axis: Axis, source: str) -> dict[str, TomlTable]:
+    """`axis_tables`, read back for comparison; raises `DriveFileError`, which names `source`, if no file can hold the
+    axis.
+    """
     tables = axis_tables(axis)
-    read_back = parse_axis(tables, str(path))
+    read_back = parse_axis(tables, source)
     for name in ("drive", "controller"):
         written, reread = (jax.tree.flatten(getattr(side, name)) for side in (axis, read_back))
         same_structure = written[1] == reread[1]  # type: ignore[operator]  # jax's types leave PyTreeDef empty
         if not same_structure or [*map(float, written[0])] != [*map(float, reread[0])]:
             raise DriveFileError(
-                f"{path}: this {name} cannot be written as a drive file: in a file, observers and feed-forwards take "
+                f"{source}: this {name} cannot be written as a drive file: in a file, observers and feed-forwards take "
                 "their model from [plant] and [friction]"
             )
+    return tables
+
+
+def write_axis(path: str | Path, axis: Axis, comments: Sequence[str] = ()) -> None:
+    """Write a drive file in SI units, below lines of comments; raises `DriveFileError` if no file can hold the axis."""
+    tables = faithful_tables(axis, str(path))
     write_text(path, "".join(f"# {line}\n" for line in comments) + tomli_w.dumps(tables))

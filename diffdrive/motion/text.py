@@ -76,7 +76,7 @@ def require_same_rate(where: str, axis: Axis, nominal: Axis) -> None:
     rate, nominal_rate = axis.sampling.rate, nominal.sampling.rate
     if not is_same_rate(rate, nominal_rate):
         raise ParameterError(
-            f"{where}: is sampled at {rate:.10g} Hz, the drive file at {nominal_rate:.10g} Hz: delays are given "
+            f"{where}: is sampled at {rate:.10g} Hz, the axis at {nominal_rate:.10g} Hz: delays are given "
             "in samples: make the rates equal"
         )
 
@@ -165,7 +165,7 @@ def load_recipe(text: str) -> Recipe[np.ndarray] | None:
     if name in LOADS:
         return _recipe(name, rest, LOADS[name], LOAD_UNITS)
     if colon:
-        require_choice("--load", "shape", name, LOADS)
+        require_choice("load", "shape", name, LOADS)
     return None
 
 
@@ -176,14 +176,14 @@ def parse_motion(text: str, rate: float) -> Motion:
         return recipe.build(rate=rate)
     path = Path(text)
     if not path.is_file():
-        raise MotionError(f"--motion: '{text}' is neither a file nor one of the motions {', '.join(MOTIONS)}")
+        raise MotionError(f"motion: '{text}' is neither a file nor one of the motions {', '.join(MOTIONS)}")
     return parse_motion_table(read_motion(path), str(path))
 
 
 def parse_load(text: str, time: np.ndarray) -> np.ndarray:
     """A load from its recipe, or from a number (N)."""
     recipe = load_recipe(text)
-    return load.constant(time, number(text, "N", "--load")) if recipe is None else recipe.build(time)
+    return load.constant(time, number(text, "N", "load")) if recipe is None else recipe.build(time)
 
 
 def require_choice(option: str, noun: str, choice: str, known: Iterable[str]) -> None:
@@ -196,5 +196,5 @@ def require_longer_than(settle: float, name: str, motion: Motion) -> None:
     """Raise `ParameterError` unless the motion is longer than the first `settle` seconds."""
     if not 0.0 <= settle < motion.duration:
         raise ParameterError(
-            f"--settle: {settle:g} s leaves nothing of {name} ({motion.duration:g} s): give less, or a longer motion"
+            f"settle: {settle:g} s leaves nothing of {name} ({motion.duration:g} s): give less, or a longer motion"
         )

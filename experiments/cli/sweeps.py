@@ -1,12 +1,17 @@
 """The commands about many machines."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from diffdrive.errors import ParameterError
 from experiments.cli.command import Computing
 from experiments.cli.options import DEFAULT_MOTION, DriveFile, LoadText, Machine, Out, Seed, Settle, Svg, count_of
+
+if TYPE_CHECKING:
+    from diffdrive.axis import Axis
 
 sweeps = typer.Typer()
 
@@ -74,30 +79,59 @@ def sweep(
 
     Example: `diffdrive sweep drive.toml --spread 3% --vary "load=uniform:0..12 kN" --tolerance 2um --out swept`
     """
+    from diffdrive.axis_file.drive_file import read_axis
     from diffdrive.runtime import allow_accelerator
-    from experiments.reports.sweep.sweep import sweep_drive
-    from tuning.sweeps.spec import SweepSpec
-    from tuning.sweeps.varying import tolerance_of, varied_texts
+    from experiments.reports.sweep.sweep import sweep_and_report
 
     if workers is None or cluster is not None:  # workers of this machine are processes on its cores
         allow_accelerator()
-    texts, correlation = varied_texts(machine or drive, vary or (), spread, identified)
-    spec = SweepSpec.of(
-        drive, motion or [DEFAULT_MOTION], texts, samples, machine=machine, against=against or (), method=method,
-        seed=seed, load=load, settle=settle, correlation=correlation, precision=precision,
-    )  # fmt: skip
-    engine = None
-    if cluster is not None:
-        from tuning.sweeps.cluster import on_cluster
-
-        engine = on_cluster(spec, cluster)
-    elif workers is not None:
-        from tuning.sweeps.workers import on_workers
-
-        engine = on_workers(spec, workers)
-    recorded = [name.strip() for name in record.split(",") if name.strip()]
-    if not sweep_drive(spec, tolerance_of(tolerance), f"{by}_m", engine, recorded, out):
+    if not sweep_and_report(
+        read_axis(drive), motion or [DEFAULT_MOTION], _names(record), out, vary=parse_vary(vary or ()), spread=spread,
+        identified=identified, machine=None if machine is None else read_axis(machine),
+        against=_read_others(drive, against or ()), samples=samples, load=load, tolerance=parse_tolerance(tolerance),
+        by=by, settle=settle, seed=seed, method=method, precision=precision, workers=workers, cluster=cluster,
+    ):  # fmt: skip
         raise typer.Exit(3)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def parse_vary(texts: Sequence[str]) -> dict[str, str]:
+    """Distributions by the names of quantities, from `NAME=KIND:NUMBERS`."""
+    found: dict[str, str] = {}
+    for text in texts:
+        name, _, distribution = (part.strip() for part in text.partition("="))
+        if name in found:
+            raise ParameterError(f"--vary: {name} is given more than once")
+        found[name] = distribution
+    return found
+
+
+def parse_tolerance(text: str | None) -> float | None:
+    """A tolerance in m, above zero."""
+    from diffdrive.motion.text import number
+
+    if text is None:
+        return None
+    if not text.strip()[-1:].isalpha():
+        raise ParameterError(f"--tolerance {text}: give it with its unit, as 2um")
+    value = number(text, "m", "--tolerance")
+    if not value > 0.0:
+        raise ParameterError(f"--tolerance {text}: must be above zero")
+    return value
+
+
+def _read_others(drive: Path, others: Sequence[Path]) -> dict[str, "Axis"]:
+    """The axes of further drive files by the files' names."""
+    from diffdrive.axis_file.drive_file import read_axis
+
+    names = [path.stem for path in (drive, *others)]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ParameterError(f"--against: two files are called {', '.join(twice)}: give them names of their own")
+    return {path.stem: read_axis(path) for path in others}
 
 
 @sweeps.command(cls=Computing)

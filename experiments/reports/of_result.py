@@ -16,7 +16,7 @@ from experiments.reports.encoders import report_encoders
 from experiments.reports.identification.identification import report_identification
 from experiments.reports.report import Report
 from experiments.reports.simulation import write_simulation
-from experiments.reports.sweep.sweep import report_sweep
+from experiments.reports.sweep.sweep import introduce, report_sweep
 from experiments.reports.tuning import report_tuning
 from tuning.diagnosis.workflow import DiagnosisResult
 from tuning.gains.result import TuningResult
@@ -91,4 +91,5 @@ def _(result: TuningResult, writer: Report) -> None:
 
 @section.register
 def _(result: SweepResult, writer: Report) -> None:
+    introduce(writer, result.plan, result.notes)
     report_sweep(writer, result)

@@ -98,8 +98,9 @@ def test_a_report_of_tuned_gains_has_the_axis_to_run(tuned, tmp_path):
 
 def test_a_sweep_goes_on_where_it_was_and_counts_as_by_hand(tmp_path):
     asked = {"vary": {"load": "uniform:0..8 kN", "plant.mass": "lognormal:3%"}, "samples": 48, "tolerance": 1.5e-6}
-    found = tuning.sweep(AXIS, LAP, against={"pd": dd.paper_axis()}, out=tmp_path, **asked)
-    again = tuning.sweep(AXIS, LAP, against={"pd": dd.paper_axis()}, out=tmp_path, **asked)
+    asked["settle"] = 0.0
+    found = tuning.sweep(AXIS, LAP, against={"pd": dd.paper_axis()}, resume=tmp_path, **asked)
+    again = tuning.sweep(AXIS, LAP, against={"pd": dd.paper_axis()}, resume=tmp_path, **asked)
     assert again.frame.equals(found.frame)
     frame = found.frame.to_pandas()
     assert len(frame) == 2 * 48
@@ -110,7 +111,7 @@ def test_a_sweep_goes_on_where_it_was_and_counts_as_by_hand(tmp_path):
         assert low <= found.exceedance(controller).share <= high
     assert found.quantile("pd", 0.5) > found.quantile("paper", 0.5)
     assert "pd" in str(found)
-    assert json.loads((tmp_path / "sweep.json").read_text())["schema"] == "sweep/1"
+    assert json.loads(found.save(tmp_path).read_text())["schema"] == "sweep/1"
     with pytest.raises(ParameterError, match="no controller 'cascade'"):
         found.exceedance("cascade")
     with pytest.raises(ParameterError, match="is the axis itself"):

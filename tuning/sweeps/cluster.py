@@ -28,7 +28,7 @@ def _client(address: str) -> Any:
     try:
         return Client(address, timeout=CONNECTION_TIMEOUT)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as problem:  # ValueError: a scheme that Dask does not know
-        raise ParameterError(f"--cluster {address}: no scheduler answers there ({problem})") from None
+        raise ParameterError(f"cluster {address}: no scheduler answers there ({problem})") from None
 
 
 def _wait(client: Any, done: Any, place: str, notify: Notify) -> None:
@@ -50,21 +50,23 @@ def _nothing() -> ComputedParts:
 
 
 def on_cluster(spec: SweepSpec, address: str) -> Engine:
-    """An engine for `parts.run`: the cluster whose scheduler is at `address`.
+    """An engine for `parts.run_parts`: the cluster whose scheduler is at `address`.
 
-    A part whose worker is killed is run again by another. Raises `ParameterError` where the extra is not installed, or
-    where nobody answers at the address.
+    A part whose worker is killed is run again by another. Raises `ParameterError` where the extra is not installed,
+    where nobody answers at the address, and where the sweep cannot be sent to the workers.
     """
     if not re.fullmatch(r"(\w+://)?[^/\s]+:\d+", address):
-        raise ParameterError(f"--cluster {address}: write tcp://host:8786")
+        raise ParameterError(f"cluster {address}: write tcp://host:8786")
     try:
         from distributed import as_completed
     except ImportError:
-        raise ParameterError("--cluster needs Dask: pip install 'diffdrive[cluster]'") from None
+        raise ParameterError("cluster: needs Dask: pip install 'diffdrive[cluster]'") from None
+
+    text = to_text(spec)
 
     def engine(plan: SweepPlan, wanted: list[int], notify: Notify) -> ComputedParts:
-        text, identity = to_text(spec), plan.identity()
-        place = f"--cluster {address}"
+        identity = plan.identity()
+        place = f"cluster {address}"
         if not wanted:
             return _nothing()
         client = _client(address)
@@ -98,7 +100,7 @@ def on_cluster(spec: SweepSpec, address: str) -> Engine:
                 if isinstance(problem, OSError) and problem.errno in NO_SPACE:
                     raise  # of this machine's disk: nobody is lost
                 raise ParameterError(
-                    f"{place} is lost ({problem}); the parts that were done are kept: the same command goes on there"
+                    f"{place} is lost ({problem}); the parts that were done are kept: the same sweep goes on there"
                 ) from None
 
         return reported()

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import tomli_w
@@ -14,13 +14,20 @@ from tuning.identification.estimates import LINEAR, ParameterEstimate
 from tuning.identification.identify import Identification
 from tuning.sweeps.varied import MAX_LOG_DEVIATION
 
-Correlation = Mapping[str, Mapping[str, float]]
-
 FILE = "uncertainty.toml"
 NOT_IN_A_FILE = ("coulomb_at_no_load", "delay")  # the first is told by others, the second is no number of its own
 
+Correlation = Mapping[str, Mapping[str, float]]
 
-def uncertainty(found: Identification) -> dict[str, dict[str, object]]:
+
+class Uncertainty(NamedTuple):
+    """Distributions by the name of a quantity, as `varied.parse_varied` takes them, and correlations of pairs."""
+
+    vary: Mapping[str, str]
+    correlation: Correlation
+
+
+def uncertainty(found: Identification) -> Uncertainty:
     """Each fitted parameter's distribution by its name in a drive, and the correlations between them."""
     kept = [
         k
@@ -31,7 +38,7 @@ def uncertainty(found: Identification) -> dict[str, dict[str, object]]:
     ]
     deviation = np.sqrt(np.diag(found.estimate_covariance))
     vary = {drive_path(found.estimates[k]): _distribution(found.estimates[k], float(deviation[k])) for k in kept}
-    correlation: dict[str, object] = {}
+    correlation: dict[str, dict[str, float]] = {}
     for at, k in enumerate(kept):
         others = {
             drive_path(found.estimates[j]): float(
@@ -41,7 +48,7 @@ def uncertainty(found: Identification) -> dict[str, dict[str, object]]:
         }
         if others:  # all of them, and with all digits: of nearly determined pairs no other numbers are possible
             correlation[drive_path(found.estimates[k])] = others
-    return {"vary": dict(vary), "correlation": correlation}
+    return Uncertainty(vary, correlation)
 
 
 def drive_path(one: ParameterEstimate) -> str:
@@ -59,17 +66,17 @@ def _distribution(one: ParameterEstimate, deviation: float) -> str:
 
 def write_uncertainty(folder: Path, found: Identification) -> None:
     """As a file."""
-    write_text(folder / FILE, tomli_w.dumps(uncertainty(found)))
+    write_text(folder / FILE, tomli_w.dumps(uncertainty(found)._asdict()))
 
 
-def read_uncertainty(path: Path) -> tuple[list[str], Correlation]:
+def read_uncertainty(path: Path) -> Uncertainty:
     """What an identification left open: its file uncertainty.toml."""
     tables = read_toml(path, ParameterError, "`diffdrive identify --out FOLDER` writes it")
     try:
-        vary = [f"{name}={text}" for name, text in cast(Mapping[str, str], tables["vary"]).items()]
         correlations = cast(Correlation, tables.get("correlation", {}))
-        return vary, {
-            quantity: {other: float(value) for other, value in of.items()} for quantity, of in correlations.items()
-        }
+        return Uncertainty(
+            {name: str(text) for name, text in cast(Mapping[str, str], tables["vary"]).items()},
+            {quantity: {other: float(value) for other, value in of.items()} for quantity, of in correlations.items()},
+        )
     except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as problem:
         raise ParameterError(f"{path}: is no uncertainty.toml of an identification: {problem}") from None

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import EllipsisType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from diffdrive.loop.simulate import Costs
 from diffdrive.model.parameters import Drive
 from diffdrive.motion.load import Ramp, require_resolved_friction
 from diffdrive.motion.motion import Motion, require_within
-from diffdrive.motion.text import Recipe, load_recipe, parse_load, require_longer_than
+from diffdrive.motion.text import Recipe, load_recipe, parse_load, require_choice, require_longer_than
 from diffdrive.numerics.arrays import as_arrays, require_double_precision
 from diffdrive.runtime import arithmetic_signature
 from diffdrive.support.rates import is_same_rate
@@ -81,6 +81,8 @@ class SweepPlan:
     ) -> "SweepPlan":  # fmt: skip
         """From the texts of `varied.parse_varied`. Raises `ParameterError` or `MotionError` for one that cannot be."""
         require_double_precision()
+        require_choice("method", "method", more.get("method", "sobol"), get_args(Method))
+        require_choice("precision", "precision", more.get("precision", "double"), get_args(Precision))
         recipes = more.get("recipes", {})
         known = variable_settings({name: recipes.get(name) for name in motions}, load_recipe(more.get("load", "0")))
         varied = tuple(parse_varied(text, axis.drive, known) for text in vary)
@@ -200,7 +202,7 @@ class SweepPlan:
         return self.machine_cycles(self.numbers(part)[at_corners(drawn)], motion)
 
     def loads(self, motion: Motion) -> np.ndarray:
-        """The load (N) along a motion as --load has it, beside what varies."""
+        """The load (N) along a motion, beside what varies."""
         return parse_load(self.load, motion.time)
 
     def extreme_cycles(self, motion: str) -> list[DutyCycle]:

@@ -65,8 +65,8 @@ def sweep_machine(plan: SweepPlan, number: int, motion: str) -> SweepMachine:
 def choose_names(plan: SweepPlan, controller: str | None, motion: str | None) -> tuple[str, str]:
     """The controller and the motion of these names, or the first ones; raises `ParameterError` for one that is not."""
     controller, motion = controller or next(iter(plan.controllers)), motion or next(iter(plan.motions))
-    _require_known(plan.controllers, controller, "--controller")
-    _require_known(plan.motions, motion, "--motion")
+    _require_known(plan.controllers, controller, "controller")
+    _require_known(plan.motions, motion, "motion")
     return controller, motion
 
 

@@ -37,7 +37,7 @@ class SweepResult(Result):
     plan: SweepPlan
     vary: Mapping[str, str]
     tolerance: float | None  # m
-    by: str
+    by: str  # the error that counts, `peak` or `rms`
     status: Status
     notes: tuple[str, ...] = ()
 
@@ -110,19 +110,22 @@ class SweepResult(Result):
                     for influence in self.influences(controller, motion)[:INFLUENCES_SHOWN]
                 ]
                 rows += [f"  spread of {controller}: {', '.join(drive)}"] if drive else []
-        return "\n".join(rows)
+        return "\n".join([*rows, *(f"- {note}" for note in self.notes)])
 
     def as_dict(self) -> dict[str, object]:
         found = []
         for motion in self.plan.motions:
             for controller in self.controllers:
                 row: dict[str, object] = {"controller": controller, "motion": motion}
-                row |= {f"{self.by}_{share:g}": self.quantile(controller, share, motion) for share in (0.5, 0.95, 0.99)}
+                row |= {
+                    f"{self.by}_m_{share:g}": self.quantile(controller, share, motion) for share in (0.5, 0.95, 0.99)
+                }
                 if self.tolerance is not None:
                     row["exceedance"] = self.exceedance(controller, motion)._asdict()
                 found.append(row)
         return {
             "machines": self.plan.samples, "vary": dict(self.vary), "tolerance_m": self.tolerance, "results": found,
+            "notes": list(self.notes),
         }  # fmt: skip
 
 

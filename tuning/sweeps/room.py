@@ -23,18 +23,19 @@ def require_resources(plan: SweepPlan, folder: Path) -> None:
     most = MAX_MACHINES.get(plan.method, MAX_NUMBER)
     if plan.samples > most:
         raise ParameterError(
-            f"--samples {format_count(plan.samples)}: {plan.method} has {most} machines at most; give fewer, or "
-            "another --method"
+            f"samples: {format_count(plan.samples)}, and {plan.method} has {most} machines at most; give fewer, or "
+            "another method"
         )
     runs = plan.samples * len(plan.controllers) * len(plan.motions)
     row = NUMBER * (COLUMNS + len(plan.varied))
     request = (
-        f"--samples {format_count(plan.samples)}: {format_count(runs)} runs, whose results are summed up together,"
+        f"samples: {format_count(plan.samples)} machines, {format_count(runs)} runs, whose results are summed up "
+        "together,"
     )
     # the rows, and those of one group once more while they are put into their order
     require_memory(ParameterError, request, float(row) * (runs + plan.samples), "give fewer")
     require_disk(
-        ParameterError, request, _existing_parent(folder), 0.5 * row * runs, "give fewer, or --out on another disk"
+        ParameterError, request, _existing_parent(folder), 0.5 * row * runs, "give fewer, or a folder on another disk"
     )
     samples = sum(len(motion.time) for motion in plan.motions.values())
     require_memory(

@@ -1,135 +1,178 @@
-"""A sweep as it was asked for, in plain text: what its folder keeps, and any machine can be run again from."""
+"""A sweep as it is asked for, and the same as text: its folder keeps it, workers get it, `replay` begins from it."""
 
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from diffdrive.axis_file.drive_file import axis_tables, parse_axis, read_axis
-from diffdrive.errors import ParameterError
-from diffdrive.motion.file import parse_motion_table, read_motion
+import numpy as np
+
+from diffdrive.axis import Axis
+from diffdrive.axis_file.drive_file import faithful_tables, parse_axis
+from diffdrive.errors import DriveFileError, ParameterError
 from diffdrive.motion.motion import Motion
-from diffdrive.motion.text import MOTIONS, Recipe, motion_recipe, parse_motion, require_same_rate
+from diffdrive.motion.text import Recipe, motion_recipe, parse_motion, require_same_rate
 from diffdrive.support.atomic_write import write_text
 from tuning.sweeps.engine import LEAST_IN_A_PART, Precision, most_in_a_part
+from tuning.sweeps.identified import Correlation
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.samples import Method
 
-FILE = "asked.json"
+FILE = "spec.json"
+SIGNALS = ("time", "position", "velocity", "acceleration")  # of a motion
+
+
+class GivenMotion(NamedTuple):
+    """A motion, and what it was given by: a line of text, the name of a file, or its own name."""
+
+    motion: Motion
+    given: str
+    recipe: Recipe[Motion] | None = None  # of a line of text: its settings may vary
+
+    @classmethod
+    def of(cls, motion: Motion | str, rate: float) -> "GivenMotion":
+        """A motion from what a user gives; raises `MotionError` for a text that is none."""
+        if isinstance(motion, Motion):
+            return cls(motion, motion.name)
+        return cls(parse_motion(motion, rate), motion, motion_recipe(motion))
 
 
 @dataclass(frozen=True)
 class SweepSpec:
-    """Drives as the tables of their files, motions as their texts or the whole text of their files."""
+    """Axes and motions as they are in memory, and how machines are drawn."""
 
-    name: str
-    drive: Mapping[str, object]  # what the first controller believes
-    motions: dict[str, str]
-    vary: tuple[str, ...]
+    axis: Axis  # under the first controller; its machine is what the others vary about, where no other is given
+    motions: tuple[GivenMotion, ...]
+    vary: Mapping[str, str]  # distributions by the names of quantities
     samples: int
+    machine: Axis | None = None  # what the machines vary about
+    against: Mapping[str, Axis] = field(default_factory=dict)  # whose controllers run on the same machines
     method: Method = "sobol"
     seed: int = 0
     load: str = "0"
     settle: float = 0.0
-    machine: Mapping[str, object] | None = None  # what the machines vary about, where it is not the drive
-    against: Mapping[str, Mapping[str, object]] = field(
-        default_factory=dict
-    )  # further controllers, by the name of their file
-    correlation: dict[str, dict[str, float]] = field(default_factory=dict)
+    correlation: Correlation = field(default_factory=dict)
     most_in_a_part: int = LEAST_IN_A_PART
     precision: Precision = "double"
 
     @classmethod
     def of(
-        cls, drive: Path, motions: Sequence[str], vary: Sequence[str], samples: int, *,
-        machine: Path | None = None, against: Sequence[Path] = (), **more: Any,
+        cls, axis: Axis, motions: Motion | str | Sequence[Motion | str], vary: Mapping[str, str], samples: int,
+        **more: Any,
     ) -> "SweepSpec":  # fmt: skip
-        """From files and texts, which are read here; raises what reading them does."""
-        names = [path.stem for path in (drive, *against)]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ParameterError(f"--against: two files are called {', '.join(twice)}: give them names of their own")
-        return cls(
-            drive.stem,
-            axis_tables(read_axis(drive)),
-            dict(_motion(text) for text in motions),
-            tuple(vary),
-            samples,
-            machine=None if machine is None else axis_tables(read_axis(machine)),
-            against={path.stem: axis_tables(read_axis(path)) for path in against},
-            **{"most_in_a_part": most_in_a_part()} | more,
-        )
+        """From motions and texts of motions; raises `MotionError` for one that cannot be."""
+        several = [motions] if isinstance(motions, Motion | str) else motions
+        given = tuple(GivenMotion.of(motion, axis.rate) for motion in several)
+        return cls(axis, given, dict(vary), samples, **{"most_in_a_part": most_in_a_part()} | more)
 
     def plan(self) -> SweepPlan:
         """What is to be run. Raises `ParameterError` or `MotionError` for a sweep that cannot be."""
-        believed = parse_axis(self.drive, self.name)
-        axis = believed if self.machine is None else parse_axis(self.machine, "the machine")
-        sampling = believed.sampling
-        require_same_rate("--machine", axis, believed)
-        axis = dataclasses.replace(axis, sampling=sampling, limits=believed.limits)
-        controllers = {self.name: believed.controller}
-        for name, tables in self.against.items():
-            other = parse_axis(tables, name)
-            require_same_rate(f"--against {name}", other, believed)
-            controllers[name] = other.controller
-        origins = self.origins(sampling.rate)
-        motions = {name: self._motion(origin, sampling.rate) for name, origin in origins.items()}
+        if self.axis.name in self.against:
+            raise ParameterError(f"against: {self.axis.name!r} is the axis itself; give it another name")
+        others = {f"against {name}": other for name, other in self.against.items()}
+        for name, other in (others if self.machine is None else {"machine": self.machine} | others).items():
+            require_same_rate(name, other, self.axis)
+        axis = self.axis if self.machine is None else dataclasses.replace(self.axis, drive=self.machine.drive)
+        motions = self.motions_by_name
         return SweepPlan.of(
-            axis, controllers, motions, self.vary, self.samples, recipes=self._recipes(origins),
+            axis,
+            {self.axis.name: self.axis.controller} | {name: other.controller for name, other in self.against.items()},
+            {name: given.motion for name, given in motions.items()},
+            tuple(f"{name}={text}" for name, text in self.vary.items()),
+            self.samples,
+            recipes={name: given.recipe for name, given in motions.items()},
             method=self.method, seed=self.seed, load=self.load, settle=self.settle, correlation=self.correlation,
             most_in_a_part=self.most_in_a_part, precision=self.precision,
         )  # fmt: skip
 
-    def origins(self, rate: float) -> dict[str, str]:
-        """What was asked for, by the name of each motion in the sweep: a second one of a name by its number, too."""
-        found: dict[str, str] = {}
-        for origin in self.motions:
-            name = self._motion(origin, rate).name
-            number = 1 + sum(other.split(" #")[0] == name for other in found)
-            found[name if number == 1 else f"{name} #{number}"] = origin
+    @property
+    def motions_by_name(self) -> dict[str, GivenMotion]:
+        """The motions by their names in the sweep: a second one of a name by its number, too."""
+        found: dict[str, GivenMotion] = {}
+        for given in self.motions:
+            number = 1 + sum(other.motion.name == given.motion.name for other in found.values())
+            found[given.motion.name if number == 1 else f"{given.motion.name} #{number}"] = given
         return found
-
-    def _motion(self, origin: str, rate: float) -> Motion:
-        text = self.motions[origin]
-        return parse_motion(text, rate) if text == origin else parse_motion_table(text, origin)
-
-    def _recipes(self, origins: dict[str, str]) -> dict[str, Recipe[Motion] | None]:
-        """How those motions are made that are not of a file."""
-        return {name: motion_recipe(text) if self.motions[text] == text else None for name, text in origins.items()}
 
 
 def to_text(spec: SweepSpec) -> str:
-    """As JSON."""
-    return json.dumps(dataclasses.asdict(spec), indent=1) + "\n"
+    """As JSON, axes as drive files have them; raises `ParameterError` for an axis that no file can hold."""
+    fields = {field.name: getattr(spec, field.name) for field in dataclasses.fields(spec)}
+    # of the machine the drive alone counts: under the axis's controller a file holds whatever drive there is
+    machine = None if spec.machine is None else spec.axis.with_drive(spec.machine.drive)
+    try:
+        fields |= {
+            "axis": _axis_to_json(spec.axis),
+            "machine": None if machine is None else _axis_to_json(machine),
+            "against": {name: _axis_to_json(axis) for name, axis in spec.against.items()},
+        }
+    except (DriveFileError, ParameterError) as problem:
+        raise ParameterError(f"workers, a cluster and `replay` need drive files of all axes: {problem}") from None
+    fields["motions"] = [_motion_to_json(given) for given in spec.motions]
+    return json.dumps(fields, indent=1) + "\n"
 
 
 def from_text(text: str) -> SweepSpec:
-    """From JSON."""
+    """From JSON, with the numbers that it was made of."""
     fields = json.loads(text)
-    return SweepSpec(**fields | {"vary": tuple(fields["vary"])})
+    axis = _axis_from_json(fields["axis"])
+    return SweepSpec(
+        **fields
+        | {
+            "axis": axis,
+            "motions": tuple(_motion_from_json(given, axis.rate) for given in fields["motions"]),
+            "machine": None if fields["machine"] is None else _axis_from_json(fields["machine"]),
+            "against": {name: _axis_from_json(other) for name, other in fields["against"].items()},
+        }
+    )
 
 
-def _motion(text: str) -> tuple[str, str]:
-    """Where it is from, and what it says: a motion by its text is from there itself."""
-    if text.partition(":")[0] in MOTIONS or not Path(text).is_file():
-        return text, text
-    return text, read_motion(Path(text))
+def _axis_to_json(axis: Axis) -> dict[str, object]:
+    return {"name": axis.name, "drive_file": faithful_tables(axis, axis.name)}
+
+
+def _axis_from_json(fields: Mapping[str, Any]) -> Axis:
+    return dataclasses.replace(parse_axis(fields["drive_file"], fields["name"]), name=fields["name"])
+
+
+def _motion_to_json(given: GivenMotion) -> dict[str, str]:
+    """A line of text as it is; of other motions the numbers, which read back to the last bit."""
+    if given.recipe is not None:
+        return {"given": given.given}
+    signals = {name: " ".join(map(repr, np.asarray(getattr(given.motion, name), float).tolist())) for name in SIGNALS}
+    return {"given": given.given, "name": given.motion.name, **signals}
+
+
+def _motion_from_json(fields: Mapping[str, str], rate: float) -> GivenMotion:
+    if "name" not in fields:
+        return GivenMotion.of(fields["given"], rate)
+    signals = {name: np.array(fields[name].split(), float) for name in SIGNALS}
+    return GivenMotion(Motion(**signals, name=fields["name"]), fields["given"])
 
 
 def write_spec(spec: SweepSpec, folder: Path) -> None:
-    """Write it into the folder of the sweep."""
+    """Write it into the folder of the sweep; where no text can hold it, why."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / FILE, to_text(spec))
+    try:
+        text = to_text(spec)
+    except ParameterError as problem:
+        text = json.dumps({"unwritable": str(problem)}) + "\n"
+    write_text(folder / FILE, text)
 
 
 def read_spec(folder: Path) -> SweepSpec:
-    """What the sweep in `folder` was asked for; raises `ParameterError` where there is none."""
+    """The sweep in `folder`; raises `ParameterError` where there is none, or none that a text can hold."""
     path = folder / FILE
     try:
-        return from_text(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if problem := json.loads(text).get("unwritable"):
+            raise ParameterError(f"{path}: this sweep cannot be made anew: {problem}")
+        return from_text(text)
+    except ParameterError:
+        raise
     except (FileNotFoundError, NotADirectoryError):
         raise ParameterError(f"{folder}: holds no sweep ({FILE} is not there)") from None
-    except (ValueError, TypeError, KeyError) as problem:
+    except (ValueError, TypeError, KeyError, AttributeError) as problem:
         raise ParameterError(f"{path}: is damaged: {problem}; run the sweep again") from None

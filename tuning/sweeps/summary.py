@@ -16,7 +16,7 @@ from scipy import stats
 
 SHARES = (0.5, 0.9, 0.95, 0.99)
 LEVEL = 0.95
-ERRORS = {"rms_m": "RMS error", "peak_m": "peak error"}
+ERRORS = {"rms": "RMS error", "peak": "peak error"}  # of a column `rms_m`, ...
 
 Values = Float[np.ndarray, " n"]
 
@@ -45,9 +45,9 @@ class Group(NamedTuple):
         """Which machines diverged."""
         return np.asarray(self.table["diverged"].to_numpy(zero_copy_only=False), bool)
 
-    def error(self, name: str = "peak_m") -> Values:
-        """An error in m of every machine, infinite where it diverged."""
-        return np.where(self.diverged, np.inf, self.column(name))
+    def error(self, by: str = "peak") -> Values:
+        """An error (`peak` or `rms`) in m of every machine, infinite where it diverged."""
+        return np.where(self.diverged, np.inf, self.column(f"{by}_m"))
 
 
 def groups(rows: ds.Dataset, controllers: Sequence[str], motions: Sequence[str]) -> list[Group]:
@@ -84,9 +84,9 @@ def proportion(which: np.ndarray) -> Interval:
     return Interval(count / total, float(ends.low), float(ends.high))
 
 
-def worst(group: Group, count: int, by: str = "peak_m") -> list[int]:
+def worst(group: Group, count: int, by: str = "peak") -> list[int]:
     """Numbers of the machines with the largest errors, the worst first, of those that did not diverge."""
-    return _machine_numbers(group, -group.column(by), ~group.diverged, count)
+    return _machine_numbers(group, -group.column(f"{by}_m"), ~group.diverged, count)
 
 
 def first_to_diverge(group: Group, count: int) -> list[int]:
@@ -109,7 +109,7 @@ class Comparison(NamedTuple):
     ratio: float  # of the errors, one over other: the median over the machines
 
 
-def compare(first: Group, second: Group, by: str = "peak_m") -> Comparison:
+def compare(first: Group, second: Group, by: str = "peak") -> Comparison:
     """Machine by machine. Where both diverged neither is better."""
     mine, theirs = first.error(by), second.error(by)
     both = np.isfinite(mine) & np.isfinite(theirs)

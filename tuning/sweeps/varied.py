@@ -153,8 +153,8 @@ def parse_varied(
         if of in ("motion", "load"):
             there = ", ".join(key for key in known if key.startswith(of)) or "none"
             raise ParameterError(
-                f"vary: '{name}' is no setting that {'every --motion' if of == 'motion' else '--load'} has as one "
-                f"number; those that may vary are {there}"
+                f"vary: '{name}' is no setting that {'every motion' if of == 'motion' else 'the load over time'} has "
+                f"as one number; those that may vary are {there}"
             )
         near = difflib.get_close_matches(name, known, 3) or ["plant.mass", "friction.viscous", "load"]
         raise ParameterError(f"vary: '{name}' is no quantity of this drive; near it are {', '.join(near)}")

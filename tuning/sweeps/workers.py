@@ -43,15 +43,18 @@ def run_part(text: str, question: str, devices: int | None, part: int) -> pa.Tab
 
 
 def on_workers(spec: SweepSpec, workers: int) -> Engine:
-    """An engine for `parts.run`: so many processes of this machine, which share its cores.
+    """An engine for `parts.run_parts`: so many processes of this machine, which share its cores.
 
-    A part whose worker is killed is run again. Raises `ParameterError` where there is no memory for so many, and where
-    workers are killed again and again.
+    A part whose worker is killed is run again. Raises `ParameterError` where there is no memory for so many, where
+    workers are killed again and again, and where the sweep cannot be sent to them.
     """
-    require_memory(ParameterError, f"--workers {workers}: as many processes", WORKER_BYTES * workers, "give fewer")
+    if workers < 1:
+        raise ParameterError(f"workers: at least one is needed, got {workers}")
+    require_memory(ParameterError, f"workers: {workers} processes", WORKER_BYTES * workers, "give fewer")
+    text = to_text(spec)
 
     def engine(plan: SweepPlan, wanted: list[int], notify: Notify) -> ComputedParts:
-        run = functools.partial(run_part, to_text(spec), plan.identity(), max(1, cores() // workers))
+        run = functools.partial(run_part, text, plan.identity(), max(1, cores() // workers))
         remaining, losses = list(wanted), 0
         while remaining:
             try:
@@ -63,8 +66,8 @@ def on_workers(spec: SweepSpec, workers: int) -> Engine:
                 losses += 1
                 if losses == MAX_LOSSES:
                     raise ParameterError(
-                        f"--workers {workers}: its processes are killed again and again, for want of memory perhaps: "
-                        "give fewer; the parts that were done are kept: the same command goes on there"
+                        f"workers: the {workers} processes are killed again and again, for want of memory perhaps: "
+                        "give fewer; the parts that were done are kept: the same sweep goes on there"
                     ) from None
                 notify("a worker was killed; the parts that were under way are run again")
 

@@ -1,8 +1,9 @@
 """`tuning.sweep`: how often an axis misses its tolerance over the machines, loads and noise that it may meet."""
 
 import contextlib
+import logging
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,63 +11,86 @@ import numpy as np
 from diffdrive.axis import Axis
 from diffdrive.errors import ParameterError
 from diffdrive.motion.motion import Motion
+from diffdrive.motion.text import require_choice
 from diffdrive.results import Status
 from diffdrive.support.atomic_write import remove_temporary
+from tuning.identification.workflow import IdentificationResult
 from tuning.progress import Progress, reporting
-from tuning.sweeps.engine import Precision, most_in_a_part
-from tuning.sweeps.parts import Engine, MachinesDone, Notify, in_process, missing_parts, run_parts
+from tuning.sweeps.engine import Precision
+from tuning.sweeps.identified import Uncertainty, read_uncertainty, uncertainty
+from tuning.sweeps.notes import convergence_notes
+from tuning.sweeps.parts import ComputedParts, Engine, Notify, in_process, missing_parts, run_parts
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.result import SweepResult
 from tuning.sweeps.room import require_resources
 from tuning.sweeps.samples import Method
+from tuning.sweeps.spec import SweepSpec, write_spec
 from tuning.sweeps.summary import ERRORS
+from tuning.sweeps.varying import all_that_varies
 
 PARTS = "parts"  # of a sweep's folder: the machines that were run
+
+Started = Callable[[SweepPlan, tuple[str, ...]], None]
 
 
 def sweep(
     axis: Axis,
-    motion: Motion | Sequence[Motion],
+    motions: Motion | str | Sequence[Motion | str],
     *,
-    vary: Mapping[str, str],
+    vary: Mapping[str, str] | None = None,
+    spread: str | float | None = None,
+    identified: IdentificationResult | str | Path | None = None,
     against: Mapping[str, Axis] | None = None,
     machine: Axis | None = None,
     samples: int = 1024,
     tolerance: float | None = None,
     load: float | str = 0.0,
-    by: str = "peak_m",
-    settle: float = 0.0,
+    by: str = "peak",
+    settle: float = 0.5,
     seed: int = 0,
     method: Method = "sobol",
     precision: Precision = "double",
+    workers: int | None = None,
+    cluster: str | None = None,
+    resume: str | Path | None = None,
     out: str | Path | None = None,
-    engine: Engine | None = None,
     progress: Progress | None = None,
+    started: Started = lambda plan, notes: None,
+    notify: Notify = logging.getLogger(__name__).warning,
     throw: bool = False,
 ) -> SweepResult:
     """Run an axis on many machines, under many loads, with noise of its own each, and say how often it misses.
 
-    With a folder `out` the runs are kept there as they are done; the same call continues an interrupted sweep, and ends
-    with the same numbers to the last bit. Method: docs/method/sweeps.md.
+    What varies is what `vary` says, then what an identification left open, then the `spread` of all other parameters of
+    plant and friction; where none of these is given, those parameters vary by 2 %. Method: docs/method/sweeps.md.
 
     Args:
         axis: The drive and its controller.
-        motion: One or several motions, at the axis's rate.
+        motions: One or several, at the axis's rate: a `Motion`, a file, or a line of text as `diffdrive motions` lists
+            (`"sine:amplitude=1mm,frequency=10Hz,duration=1s"`), whose settings may vary, too.
         vary: What differs from machine to machine, a line of text for each quantity: `{"load": "uniform:0..12 kN",
-            "plant.mass": "lognormal:3%", "effects.cogging.cosine": "normal:2 N"}`.
+            "plant.mass": "lognormal:3%", "motion.amplitude": "uniform:1..2 mm"}`.
+        spread: Relative deviation of all other parameters of plant and friction, such as `"3%"` or 0.03.
+        identified: The result of `identify`, or its file uncertainty.toml: what was fitted varies as far as the logs
+            left it open, with its correlations.
         against: Other axes by name, whose controllers are run on the same machines.
         machine: The axis that the machines vary about, where that is not the axis itself.
         samples: Machines.
         tolerance: Of the error `by` (m).
-        load: Force on the guides that all bear besides (N).
-        by: The error that counts: `peak_m` or `rms_m`.
+        load: Force on the guides that all bear besides (N), or as text a load over time.
+        by: The error that counts: `peak` or `rms`.
         settle: From when on errors count (s).
         seed: Of the machines and their noise.
         method: How machines are drawn: `sobol`, `latin-hypercube` or `random`.
         precision: `double`, or `single`.
-        out: A folder for the runs.
-        engine: Shares the parts out among processes (`tuning.sweeps.workers`, `tuning.sweeps.cluster`).
+        workers: Processes of this computer that share the work; by default this process alone.
+        cluster: The address of a Dask scheduler whose workers do the work, such as `tcp://host:8786`.
+        resume: A folder in which the machines that are finished are kept: the same call continues an interrupted sweep
+            from there and ends with the same numbers to the last bit, and `diffdrive replay` runs any machine of it.
+        out: A folder for the result (`sweep.json`), and for finished machines where `resume` names no other.
         progress: Called with (stage, done, of how many).
+        started: Called with the plan and the notes, when all machines are found possible and before the first one runs.
+        notify: Called with a sentence where something keeps workers from their work; by default it is logged.
         throw: Raise an error where a machine diverged.
 
     Raises:
@@ -79,84 +103,88 @@ def sweep(
         >>> swept.exceedance(axis.name).interval
 
     """
-    plan = sweep_plan(
-        axis, motion, vary=vary, against=against or {}, machine=machine, samples=samples, load=load, settle=settle,
-        seed=seed, method=method, precision=precision,
+    require_choice("by", "error", by, ERRORS)
+    if tolerance is not None and not tolerance > 0.0:
+        raise ParameterError(f"tolerance: must be above zero, in m, got {tolerance!r}")
+    varied = all_that_varies((axis if machine is None else machine).drive, vary or {}, spread, _left_open(identified))
+    spec = SweepSpec.of(
+        axis, motions, varied.vary, int(samples), machine=machine, against=dict(against or {}), method=method,
+        seed=int(seed), load=load if isinstance(load, str) else f"{float(load):.17g}", settle=float(settle),
+        correlation=varied.correlation, precision=precision,
     )  # fmt: skip
-    folder = None if out is None else Path(out)
+    kept = out if resume is None else resume
+    folder = None if kept is None else Path(kept)
     with reporting(progress) as tell:
-        result = run_plan(
-            plan, vary, folder, tolerance=tolerance, by=by, engine=engine or in_process,
-            done=lambda machines: tell("machines", machines, plan.samples),
+        result = run_sweep(
+            spec, folder, _engine(spec, workers, cluster), tolerance=tolerance, by=by, started=started, notify=notify,
+            done=lambda machines: tell("machines", machines, spec.samples),
         )  # fmt: skip
-    if folder is not None:
-        result.save(folder)
+    if out is not None:
+        result.save(out)
     return result.require_ok() if throw else result
 
 
-def require_runnable(plan: SweepPlan, folder: Path | None, *, tolerance: float | None, by: str) -> None:
-    """Raise `ParameterError` for a sweep that cannot be run, before anything is written."""
-    if by not in ERRORS:
-        raise ParameterError(f"by: no error {by!r}; known: {', '.join(ERRORS)}")
-    if tolerance is not None and not tolerance > 0.0:
-        raise ParameterError(f"tolerance: must be above zero, in m, got {tolerance!r}")
+def run_sweep(
+    spec: SweepSpec, folder: Path | None, engine: Engine, *, tolerance: float | None, by: str, started: Started,
+    notify: Notify, done: Callable[[int], None],
+) -> SweepResult:  # fmt: skip
+    """Run the machines of a sweep that are not in the folder yet, and say what became of all.
+
+    Raises `ParameterError` for a sweep that cannot be run, before anything is written.
+    """
+    plan = spec.plan()
     require_resources(plan, Path(tempfile.gettempdir()) if folder is None else folder)
     if folder is not None:
         missing_parts(plan, folder / PARTS)  # what is there may be of another sweep
+    notes = convergence_notes(plan)
 
+    def begin() -> None:
+        started(plan, notes)
+        if folder is not None:
+            write_spec(spec, folder)
 
-def run_plan(
-    plan: SweepPlan, vary: Mapping[str, str], folder: Path | None, *, tolerance: float | None, by: str, engine: Engine,
-    done: MachinesDone, notify: Notify = lambda _: None,
-) -> SweepResult:  # fmt: skip
-    """Run the machines of a plan that are not in the folder yet, and say what became of all.
-
-    `vary` are the texts that the plan is made from; `notify` is told what keeps an engine from beginning. Raises
-    `ParameterError` for a plan that cannot be run.
-    """
-    require_runnable(plan, folder, tolerance=tolerance, by=by)
-    with parts_folder(folder) as parts:
-        rows = run_parts(plan, parts, done, engine, notify)
+    with _parts_folder(folder) as parts:
+        rows = run_parts(plan, parts, done, _preceded(engine, begin), notify)
         order = [("motion", "ascending"), ("controller", "ascending"), ("machine", "ascending")]
         frame = rows.to_table().sort_by(order)
     diverged = int(np.sum(frame["diverged"].to_numpy(zero_copy_only=False)))
     message = "ok" if not diverged else f"{diverged} of {len(frame)} runs diverged"
     status = Status(not diverged, message, code="diverged" if diverged else "ok")
-    return SweepResult(frame, plan, dict(vary), tolerance, by, status)
+    return SweepResult(frame, plan, spec.vary, tolerance, by, status, notes)
 
 
-def sweep_plan(
-    axis: Axis, motion: Motion | Sequence[Motion], *, vary: Mapping[str, str], against: Mapping[str, Axis],
-    machine: Axis | None, samples: int, load: float | str, settle: float, seed: int, method: Method,
-    precision: Precision,
-) -> SweepPlan:  # fmt: skip
-    """The plan of a sweep; raises `ParameterError` and `MotionError` for one that cannot be."""
-    if axis.name in against:
-        raise ParameterError(f"against: {axis.name!r} is the axis itself; give it another name")
-    for name, other in {**against, **({} if machine is None else {"machine": machine})}.items():
-        if abs(other.rate / axis.rate - 1.0) > 1e-6:
-            raise ParameterError(
-                f"{name}: is sampled at {other.rate:g} Hz, the axis at {axis.rate:g} Hz: make them equal"
-            )
-    several = [motion] if isinstance(motion, Motion) else list(motion)
-    names = [each.name for each in several]
-    motions = {
-        name if names[:k].count(name) == 0 else f"{name} #{names[:k].count(name) + 1}": each
-        for k, (name, each) in enumerate(zip(names, several, strict=True))
-    }
-    believed = axis if machine is None else Axis(
-        machine.drive, axis.controller, axis.sampling, axis.limits, axis.mapping, axis.name
-    )  # fmt: skip
-    controllers = {axis.name: axis.controller} | {name: other.controller for name, other in against.items()}
-    texts = tuple(f"{name}={text}" for name, text in vary.items())
-    return SweepPlan.of(
-        believed, controllers, motions, texts, samples, load=str(load), most_in_a_part=most_in_a_part(),
-        settle=settle, seed=seed, method=method, precision=precision,
-    )  # fmt: skip
+def _left_open(identified: IdentificationResult | str | Path | None) -> Uncertainty | None:
+    if isinstance(identified, IdentificationResult):
+        return uncertainty(identified.fit)
+    return None if identified is None else read_uncertainty(Path(identified))
+
+
+def _engine(spec: SweepSpec, workers: int | None, cluster: str | None) -> Engine:
+    """Who computes the parts; raises `ParameterError` for one that cannot."""
+    if cluster is not None:
+        from tuning.sweeps.cluster import on_cluster
+
+        return on_cluster(spec, cluster)
+    if workers is not None:
+        from tuning.sweeps.workers import on_workers
+
+        return on_workers(spec, workers)
+    return in_process
+
+
+def _preceded(engine: Engine, begin: Callable[[], None]) -> Engine:
+    """An engine before which something is done, when every machine has been found possible and somebody is there."""
+
+    def begun(plan: SweepPlan, wanted: list[int], notify: Notify) -> ComputedParts:
+        parts = engine(plan, wanted, notify)  # which may find that nobody is there
+        begin()
+        yield from parts
+
+    return begun
 
 
 @contextlib.contextmanager
-def parts_folder(folder: Path | None) -> Iterator[Path]:
+def _parts_folder(folder: Path | None) -> Iterator[Path]:
     """Where the parts go: into the folder, or nowhere for long."""
     if folder is not None:
         remove_temporary(folder / PARTS)

@@ -123,7 +123,7 @@ print(swept)
 # %%
 figure, panel = plt.subplots(figsize=(7.0, 3.4), layout="constrained")
 for name in swept.controllers:
-    errors = 1e6 * np.sort(swept.group(name).error("peak_m"))
+    errors = 1e6 * np.sort(swept.group(name).error("peak"))
     panel.step(errors, 100.0 * np.arange(1, len(errors) + 1) / len(errors), where="post", label=name)
 panel.axvline(1e6 * swept.tolerance, color="k", linestyle=":", label="tolerance")
 panel.set(xscale="log", xlabel="largest tracking error, um", ylabel="machines below it, %")

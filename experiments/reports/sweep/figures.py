@@ -7,7 +7,7 @@ import numpy as np
 
 from experiments.reports.report import new_figure, plain_logarithmic
 from tuning.sweeps.sensitivity import Influence
-from tuning.sweeps.summary import Group, exceedance
+from tuning.sweeps.summary import ERRORS, Group, exceedance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +34,7 @@ def distribution(groups: Sequence[Group], tolerance: float | None, by: str) -> "
             at, below = 1e6 * np.array([start, edge]), np.zeros(2)
         axis.step(at, below, where="post", label=_label(group))
     _tolerance(axis, tolerance)
-    axis.set(xscale="log", xlabel=f"{_name(by)}, µm", ylabel="machines with at most that, %", title=groups[0].motion)
+    axis.set(xscale="log", xlabel=f"{ERRORS[by]}, µm", ylabel="machines with at most that, %", title=groups[0].motion)
     plain_logarithmic(axis.xaxis)
     axis.legend(loc="lower right")
     return figure
@@ -57,7 +57,7 @@ def exceedance_figure(groups: Sequence[Group], tolerance: float | None, by: str)
     _tolerance(axis, tolerance)
     least = 100.0 / (2.0 * len(groups[0].table))
     axis.set(
-        xscale="log", yscale="log", ylim=(least, 110.0), xlabel=f"tolerance on the {_name(by)}, µm",
+        xscale="log", yscale="log", ylim=(least, 110.0), xlabel=f"tolerance on the {ERRORS[by]}, µm",
         ylabel="machines that miss it, %", title=groups[0].motion,
     )  # fmt: skip
     plain_logarithmic(axis.xaxis)
@@ -89,7 +89,7 @@ def error_against(groups: Sequence[Group], name: str, unit: str, tolerance: floa
         axis.plot(middles, medians, color=f"C{k}", label=f"{group.controller}: median")
         axis.plot(middles, highs, "--", color=f"C{k}", label="95 %")
     _tolerance(axis, tolerance, horizontal=True)
-    axis.set(yscale="log", xlabel=f"{name}, {shown}", ylabel=f"{_name(by)}, µm", title=groups[0].motion)
+    axis.set(yscale="log", xlabel=f"{name}, {shown}", ylabel=f"{ERRORS[by]}, µm", title=groups[0].motion)
     plain_logarithmic(axis.yaxis)
     axis.legend(fontsize=8)
     return figure
@@ -138,15 +138,11 @@ def tornado(found: Sequence[Influence], group: Group, by: str) -> "Figure":
     axis.axvline(middle, color="0.3", lw=0.8)
     axis.set_yticks(range(len(found)), [one.name for one in reversed(found)])
     axis.set(
-        xlabel=f"mean {_name(by)}, µm, where the quantity is low (blue), high (orange); grey: chance",
+        xlabel=f"mean {ERRORS[by]}, µm, where the quantity is low (blue), high (orange); grey: chance",
         title=f"{group.controller}, {group.motion}: share of the variance",
     )
     axis.margins(x=0.12)
     return figure
-
-
-def _name(by: str) -> str:
-    return {"rms_m": "RMS error", "peak_m": "peak error"}[by]
 
 
 def _tolerance(axis: "Axes", tolerance: float | None, horizontal: bool = False) -> None:

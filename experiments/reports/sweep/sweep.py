@@ -1,64 +1,63 @@
 """`diffdrive sweep` and `diffdrive replay`: a sweep run, told and drawn; and one of its machines again."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import get_args
+from typing import Any
 
 import numpy as np
 
+from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import axis_tables, parse_axis, write_axis
 from diffdrive.errors import ParameterError
-from diffdrive.loop.convergence import convergence_warnings
 from diffdrive.motion.text import require_choice
 from diffdrive.support.atomic_write import atomic_write
 from experiments.reports.report import RESULT, Report, named_file
 from experiments.reports.simulation import write_simulation
 from experiments.reports.sweep import figures
 from experiments.reports.sweep.tables import LISTED, GroupInfluences, print_sweep, print_varied
-from tuning.sweeps.engine import Precision
-from tuning.sweeps.parts import ComputedParts, Engine, Notify, in_process, stored_errors
+from tuning.sweeps.parts import stored_errors
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.replay import SIGNALS, choose_names, machine_run, repeat_costs, run_errors, sweep_machine, traces
 from tuning.sweeps.result import SweepResult, group_influences
-from tuning.sweeps.samples import Method
-from tuning.sweeps.spec import FILE, SweepSpec, read_spec, write_spec
-from tuning.sweeps.summary import ERRORS, Group, first_to_diverge, worst
-from tuning.sweeps.workflow import PARTS, require_runnable, run_plan
+from tuning.sweeps.spec import FILE, read_spec
+from tuning.sweeps.summary import first_to_diverge, worst
+from tuning.sweeps.workflow import PARTS, sweep
 
 ALIKE = 0.01  # of RMS and peak error: what the signals of a machine by itself may be off
 
 
-def sweep_drive(
-    spec: SweepSpec, tolerance: float | None, by: str, engine: Engine | None, recorded: Sequence[str], out: Path | None
+def sweep_and_report(
+    axis: Axis, motions: Sequence[str], recorded: Sequence[str], out: Path | None, **options: Any
 ) -> bool:
-    """`diffdrive sweep`; False if a machine diverged. `recorded` are the signals of the worst machines to keep."""
-    require_choice("--by", "error", by.removesuffix("_m"), [one.removesuffix("_m") for one in ERRORS])
-    require_choice("--method", "method", spec.method, get_args(Method))
-    require_choice("--precision", "precision", spec.precision, get_args(Precision))
+    """Run `tuning.sweep` with these `options`, and write what it finds; False if a machine diverged.
+
+    `recorded` are the signals of the worst machines to keep.
+    """
     if recorded and out is None:
         raise ParameterError("--record: give --out, a folder for the traces")
     for name in recorded:
         require_choice("--record", "signal", name, SIGNALS)
-    plan = spec.plan()
-    require_runnable(plan, out, tolerance=tolerance, by=by)
-    warned = [one for motion in plan.motions for one in _warnings(plan, motion)]
-    title = f"{spec.name}: {plan.samples} machines, {', '.join(plan.motions)}"
     if out is not None and (out / RESULT).exists() and not (out / FILE).exists():
         raise ParameterError(f"--out {out}: holds the results of another command; name another folder")
-    vary = {name: text for name, _, text in (text.partition("=") for text in spec.vary)}
-    with Report(title, out) as report:
-        for warning in warned:
-            report.say(warning)
-        with report.counted(f"simulating machines of {spec.name}", plan.samples) as done:
-            result = run_plan(
-                plan, vary, out, tolerance=tolerance, by=by, engine=_announcing(spec, engine or in_process, report),
-                done=done, notify=report.console.print,
+    names = dict.fromkeys(Path(text.partition(":")[0]).name for text in motions)
+    with Report(f"{axis.name}: {options['samples']} machines, {', '.join(names)}", out) as report:
+        with report.counted(f"simulating machines of {axis.name}", options["samples"]) as done:
+            result = sweep(
+                axis, motions, resume=out, progress=lambda _stage, count, _most: done(count),
+                started=lambda plan, notes: introduce(report, plan, notes), notify=report.console.print, **options,
             )  # fmt: skip
-        _legend(report, spec.origins(plan.axis.sampling.rate))
+        _legend(report, result.plan, motions)
         report_sweep(report, result)
         if recorded:
-            _record(report, plan, result.groups(), recorded, by)
+            _record(report, result, recorded)
     return result.status.ok
+
+
+def introduce(report: Report, plan: SweepPlan, notes: Sequence[str]) -> None:
+    """What to expect, and what varies."""
+    for note in notes:
+        report.say(note)
+    print_varied(report, plan)
 
 
 def report_sweep(report: Report, result: SweepResult) -> None:
@@ -76,38 +75,12 @@ def report_sweep(report: Report, result: SweepResult) -> None:
         save_sweep_figures(report, plan, of_motion, result.tolerance, result.by)
 
 
-def _warnings(plan: SweepPlan, motion: str) -> list[str]:
-    """What to expect of each controller on a motion. Where settings vary, the first warning of each kind."""
-    extremes, found = plan.extreme_cycles(motion), []
-    for name, controller in plan.controllers.items():
-        first: dict[str, str] = {}
-        for course in extremes:
-            for text in convergence_warnings(controller, *course, plan.axis.sampling.period):
-                first.setdefault(text.partition(" at ")[0], text)
-        found += [f"{motion}, {name}: {text}" for text in first.values()]
-    return found
-
-
-def _legend(report: Report, origins: Mapping[str, str]) -> None:
+def _legend(report: Report, plan: SweepPlan, motions: Sequence[str]) -> None:
     """Which motion is meant by each name."""
-    report.data["motions"] = dict(origins)
-    if len(origins) > 1:
-        report.table("motions", ("motion", "as given"), [list(one) for one in origins.items()], "Motions")
-
-
-def _announcing(spec: SweepSpec, engine: Engine, report: Report) -> Engine:
-    """An engine that tells what varies and writes down what was spec when it begins: by then every machine has been
-    found possible.
-    """
-
-    def announcing(plan: SweepPlan, numbers: list[int], say: Notify) -> ComputedParts:
-        results = engine(plan, numbers, say)  # which may find that nobody is there
-        print_varied(report, plan)
-        if report.out is not None:
-            write_spec(spec, report.out)
-        yield from results
-
-    return announcing
+    given = dict(zip(plan.motions, motions, strict=True))
+    report.data["motions"] = given
+    if len(given) > 1:
+        report.table("motions", ("motion", "as given"), [list(one) for one in given.items()], "Motions")
 
 
 def save_sweep_figures(
@@ -131,9 +104,10 @@ def save_sweep_figures(
         report.figure(f"error_against_{named_file(name)}{motion}", drawn)
 
 
-def _record(report: Report, plan: SweepPlan, found: Sequence[Group], recorded: Sequence[str], by: str) -> None:
+def _record(report: Report, result: SweepResult, recorded: Sequence[str]) -> None:
     """The signals of every controller's worst machines, under every controller."""
     assert report.out is not None
+    plan, found, by = result.plan, result.groups(), result.by
     for motion in plan.motions:
         of_motion = [one for one in found if one.motion == motion]
         numbers = sorted(
@@ -154,7 +128,7 @@ def _record(report: Report, plan: SweepPlan, found: Sequence[Group], recorded: S
                 for k, number in enumerate(numbers)
                 if not all(
                     np.isclose(repeated[name][k], one.column(name)[number], rtol=ALIKE, atol=0.0, equal_nan=True)
-                    for name in ERRORS
+                    for name in ("rms_m", "peak_m")
                 )
             ]
             if differing:

@@ -152,11 +152,12 @@ def _numbers(analysed: GroupInfluences, tolerance: float | None) -> dict[str, ob
         "diverged": int(np.sum(group.diverged)),
         "at_the_force_limit": _stuck(group),
         "quantiles": {
-            name: {str(share): quantile(group.error(name), share)._asdict() for share in SHARES} for name in ERRORS
+            f"{by}_m": {str(share): quantile(group.error(by), share)._asdict() for share in SHARES} for by in ERRORS
         },
         "misses": None
         if tolerance is None
-        else {"tolerance_m": tolerance} | {name: exceedance(group.error(name), tolerance)._asdict() for name in ERRORS},
+        else {"tolerance_m": tolerance}
+        | {f"{by}_m": exceedance(group.error(by), tolerance)._asdict() for by in ERRORS},
         "sensitivity": [
             {name: value for name, value in one._asdict().items() if name != "chance"} for one in influences
         ],

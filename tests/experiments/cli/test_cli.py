@@ -221,13 +221,13 @@ REFUSED = {
         ("--motion", SHORT.replace("stroke=2mm", "stroke=2m,start=1")),
         "stroke",
     ),
-    "a motion that settles for ever": ("simulate", ("--motion", SHORT, "--settle", 5), "--settle: 5 s leaves nothing"),
+    "a motion that settles for ever": ("simulate", ("--motion", SHORT, "--settle", 5), "settle: 5 s leaves nothing"),
     "a shape of load that there is not": (
         "simulate",
         ("--motion", SHORT, "--load", "stepp:to=3"),
-        "--load: no shape 'stepp'; known: constant, step, ramp, piecewise, material_removal",
+        "load: no shape 'stepp'; known: constant, step, ramp, piecewise, material_removal",
     ),
-    "a motion that there is not": ("simulate", ("--motion", "zigzag:speed=1"), "--motion: 'zigzag:speed=1' is neither"),
+    "a motion that there is not": ("simulate", ("--motion", "zigzag:speed=1"), "motion: 'zigzag:speed=1' is neither"),
     "an aggregation that there is not": (
         "tune",
         ("--aggregation", "avg"),

@@ -38,18 +38,18 @@ HUGE = {
     "samples": (
         "sweep",
         ("--motion", MOTION, "--settle", "0", "--samples", "1000000000"),
-        r"--samples 1e\+09: 1e\+09 runs, .* would take about \d+ GB of memory, and 8 GB are free: give fewer",
+        r"samples: 1e\+09 machines, 1e\+09 runs, .* would take about \d+ GB of memory, and 8 GB are free: give fewer",
     ),
     "samples beyond the sequence": (
         "sweep",
         ("--motion", MOTION, "--settle", "0", "--samples", str(2**31)),
-        "sobol has 1073741824 machines at most; give fewer, or another --method",
+        "sobol has 1073741824 machines at most; give fewer, or another method",
     ),
     "a count of 22 digits": ("sweep", ("--samples", str(10**22)), r"--samples: must be less than 2\^63, got 1000"),
     "a sweep's workers": (
         "sweep",
         ("--motion", MOTION, "--settle", "0", "--workers", "1000000000"),
-        "--workers 1000000000: as many processes would take about 300 PB of memory",
+        "workers: 1000000000 processes would take about 300 PB of memory",
     ),
     "settling": ("sweep", ("--motion", MOTION, "--settle", "1e300"), r"1e\+300 s leaves nothing"),
     "a deviation": ("sweep", ("--vary", "plant.mass=lognormal:1e300"), "of a logarithm is too wide"),

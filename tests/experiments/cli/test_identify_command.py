@@ -26,10 +26,10 @@ from experiments.studies.emps import axis as emps
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
 from tests.support.sound_log import RATE, axis_of, simulate_log
 from tuning.identification.identify import COARSE_STEPS
+from tuning.sweeps.identified import read_uncertainty
 from tuning.sweeps.machines import machines
 from tuning.sweeps.samples import correlate, correlation_root, unit_samples
 from tuning.sweeps.varied import parse_varied
-from tuning.sweeps.varying import varied_texts
 
 TRUE = axis_of()
 # distance m, speed m/s, acceleration m/s^2, jerk m/s^3: slow and fast reversals, 2.2 s
@@ -339,14 +339,16 @@ class _interrupting:  # noqa: N801
 def test_what_it_left_open_is_what_a_sweep_varies(identified):
     _, out, written = identified
     axis = read_axis(out / "identified.toml")
-    texts, together = varied_texts(out / "identified.toml", [], None, out / "uncertainty.toml")
+    vary, together = read_uncertainty(out / "uncertainty.toml")
     found = estimates(written)
     fitted = {name for name, row in found.items() if row["status"] == "fitted"} - {"delay"}
-    names = [text.partition("=")[0] for text in texts]
+    names = list(vary)
     assert {name.split(".", 1)[1] for name in names} == {one for one in fitted if not one.startswith("coulomb_at")}
     assert sum(map(len, together.values())) == len(names) * (len(names) - 1) / 2  # no pair is left out
-    drawn = correlate(unit_samples("sobol", len(texts), 0, 0, 4096), correlation_root(together, names))
-    machine, _, values = machines(axis.drive, [parse_varied(text, axis.drive) for text in texts], drawn)
+    drawn = correlate(unit_samples("sobol", len(vary), 0, 0, 4096), correlation_root(together, names))
+    machine, _, values = machines(
+        axis.drive, [parse_varied(f"{name}={text}", axis.drive) for name, text in vary.items()], drawn
+    )
     for name, value in values.items():
         row = found[name.split(".", 1)[1]]
         near = 0.02 * (row["high"] - row["low"])

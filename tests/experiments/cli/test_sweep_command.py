@@ -113,7 +113,7 @@ def test_a_machine_runs_again_to_the_last_bit_and_as_a_drive_file(swept, tmp_pat
     assert float(read_axis(tmp_path / "machine.toml").drive.plant.mass) == mass
     assert (tmp_path / "run.png").exists()
     refused = run("replay", out, "--machine", 77, "--controller", "plian")
-    assert "--controller 'plian': is not of this sweep; known: axis, plain" in str(refused.exception)
+    assert "controller 'plian': is not of this sweep; known: axis, plain" in str(refused.exception)
     assert not refused.output.strip()
     before = (out / "result.json").read_bytes()
     assert "holds a sweep" in str(run("replay", out, "--machine", 77, "--out", out).exception)
@@ -132,7 +132,7 @@ def test_a_second_run_computes_nothing_and_another_sweep_is_refused(swept, drive
     assert run(*same).exit_code == 0
     assert {path: path.stat().st_mtime_ns for path in (out / "parts").iterdir()} == stamps
     assert json.loads((out / "result.json").read_text())["results"] == before["results"]
-    before = {name: (out / name).read_bytes() for name in ("asked.json", "result.json")}
+    before = {name: (out / name).read_bytes() for name in ("spec.json", "result.json")}
     other = run(*same, "--seed", 1)
     assert other.exit_code != 0
     assert "is of another sweep" in str(other.exception)
@@ -168,7 +168,7 @@ def test_a_machine_of_another_rate_is_refused(drives, tmp_path, command):
     refused = run(
         command, drives / "plain.toml", "--machine", tmp_path / "slow.toml", "--motion", MOTION, "--settle", 0
     )
-    assert "is sampled at 4000 Hz, the drive file at 10000 Hz" in str(refused.exception)
+    assert "is sampled at 4000 Hz, the axis at 10000 Hz" in str(refused.exception)
     for name, rate in (("one", '"8.12 kHz"'), ("other", "8120")):  # which differ in their last bits
         (tmp_path / f"{name}.toml").write_text((drives / "plain.toml").read_text().replace('"10 kHz"', rate))
     more = ("--samples", 8) if command == "sweep" else ()
@@ -213,21 +213,21 @@ def test_what_decides_over_divergence_is_said(drives, tmp_path):
 @pytest.mark.parametrize(
     ("more", "says"),
     [
-        (("--by", "mean"), "--by: no error 'mean'; known: rms, peak"),
+        (("--by", "mean"), "by: no error 'mean'; known: rms, peak"),
         (("--record", "errors", "--out", "x"), "--record: no signal 'errors'; known: reference, "),
         (("--record", "error"), "give --out"),
-        (("--method", "grid", "--out", "x"), "--method: no method 'grid'; known: sobol, latin-hypercube, random"),
-        (("--load", "stepp:to=3"), "--load: no shape 'stepp'; known: constant, step, ramp, "),
+        (("--method", "grid", "--out", "x"), "method: no method 'grid'; known: sobol, latin-hypercube, random"),
+        (("--load", "stepp:to=3"), "load: no shape 'stepp'; known: constant, step, ramp, "),
         (("--load", "-90 kN", "--out", "x"), "lifts the table"),
         (("--vary", "effects.loop_delay.delay=fixed:12", "--out", "x"), "at most 8"),
         (("--vary", "effects.loop_delay.delay=uniform:0..0.2 ms", "--out", "x"), "it must be a plain number"),
-        (("--cluster", "foo", "--out", "x"), "--cluster foo: write tcp://host:8786"),
-        (("--settle", "0.5", "--out", "x"), "--settle: 0.5 s leaves nothing of sine (0.1 s)"),
+        (("--cluster", "foo", "--out", "x"), "cluster foo: write tcp://host:8786"),
+        (("--settle", "0.5", "--out", "x"), "settle: 0.5 s leaves nothing of sine (0.1 s)"),
         (("--tolerance", "2 N"), "--tolerance"),
         (("--vary", "plant.mas=lognormal:3%"), "is no quantity"),
-        (("--spread", "abc"), "--spread abc: give a share above 0 and up to 100%, as 3% or 0.03"),
-        (("--spread", "0%"), "--spread 0%: give a share"),
-        (("--spread=-3%",), "--spread -3%: give a share"),
+        (("--spread", "abc"), "spread abc: give a share above 0 and up to 100%, as 3% or 0.03"),
+        (("--spread", "0%"), "spread 0%: give a share"),
+        (("--spread=-3%",), "spread -3%: give a share"),
         (
             (
                 "--vary",

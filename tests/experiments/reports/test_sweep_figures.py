@@ -29,7 +29,7 @@ def told(figure):
 
 
 def test_machines_that_diverged_miss_every_tolerance():
-    found = told(figures.exceedance_figure([SOUND, PARTLY, WILD], TOLERANCE, "peak_m"))
+    found = told(figures.exceedance_figure([SOUND, PARTLY, WILD], TOLERANCE, "peak"))
     at, misses = found["partly"].get_data()
     assert at[-1] > 1e6 * TOLERANCE
     assert misses[-1] == pytest.approx(20.0)
@@ -38,7 +38,7 @@ def test_machines_that_diverged_miss_every_tolerance():
 
 
 def test_a_distribution_with_machines_that_diverged_ends_below_all_of_them():
-    found = told(figures.distribution([SOUND, PARTLY, WILD], TOLERANCE, "peak_m"))
+    found = told(figures.distribution([SOUND, PARTLY, WILD], TOLERANCE, "peak"))
     assert found["one"].get_data()[1][-1] == 100.0
     at, share = found["partly"].get_data()
     assert (at[-1] > 1e6 * TOLERANCE, share[-1]) == (True, 80.0)
@@ -49,14 +49,14 @@ def test_a_distribution_with_machines_that_diverged_ends_below_all_of_them():
 def test_an_axis_that_holds_still_has_no_error_and_is_drawn(tolerance):
     still = group(np.zeros(100), "still")
     for groups in ([still], [still, SOUND]):
-        misses = told(figures.exceedance_figure(groups, tolerance, "peak_m"))["still"].get_data()[1]
+        misses = told(figures.exceedance_figure(groups, tolerance, "peak"))["still"].get_data()[1]
         assert set(misses) == {0.0}
-        assert told(figures.distribution(groups, tolerance, "peak_m"))["still"].get_data()[1][-1] == 100.0
-        figures.error_against(groups, "load", "N", tolerance, "peak_m").canvas.draw()
+        assert told(figures.distribution(groups, tolerance, "peak"))["still"].get_data()[1][-1] == 100.0
+        figures.error_against(groups, "load", "N", tolerance, "peak").canvas.draw()
 
 
 def test_machines_that_diverged_are_marked_and_count_in_the_slices():
-    figure = figures.error_against([PARTLY, WILD], "load", "N", TOLERANCE, "peak_m")
+    figure = figures.error_against([PARTLY, WILD], "load", "N", TOLERANCE, "peak")
     found = told(figure)
     assert found["partly: diverged"].get_data()[0] == pytest.approx(np.linspace(0.0, 10.0, 100)[80:])
     assert len(found["wild: diverged"].get_data()[0]) == 100

@@ -10,6 +10,7 @@ import time
 import pytest
 from typer.testing import CliRunner
 
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import ParameterError
 from experiments.cli.main import app
 from experiments.studies.demo import PAPER_DRIVE
@@ -22,8 +23,8 @@ distributed = pytest.importorskip("distributed")
 
 def asked(**more):
     motion = "sine:amplitude=1mm,frequency=10Hz,duration=0.05s"
-    vary = ("plant.mass=lognormal:3%", "load=uniform:0..10 kN")
-    return SweepSpec.of(PAPER_DRIVE, [motion], vary, 96, most_in_a_part=8, **more)
+    vary = {"plant.mass": "lognormal:3%", "load": "uniform:0..10 kN"}
+    return SweepSpec.of(read_axis(PAPER_DRIVE), motion, vary, 96, most_in_a_part=8, **more)
 
 
 def rows(found):
@@ -82,7 +83,7 @@ def test_a_cluster_that_is_lost_says_that_the_same_command_goes_on(tmp_path):
             for one in both if done else ():
                 one.kill()
 
-        with pytest.raises(ParameterError, match=r"--cluster tcp://.* is lost .* the same command goes on"):
+        with pytest.raises(ParameterError, match=r"cluster tcp://.* is lost .* the same sweep goes on"):
             run_parts(wanted.plan(), parts, lose, on_cluster(wanted, address))
     finally:
         for one in both:

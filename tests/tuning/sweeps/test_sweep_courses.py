@@ -145,14 +145,14 @@ def test_loads_are_added_when_each_acts():
 @pytest.mark.parametrize(
     ("vary", "texts", "load", "says"),
     [
-        ("motion.stroke=uniform:1..2 mm", (SINE,), "0", "no setting that every --motion has.*motion.amplitude"),
+        ("motion.stroke=uniform:1..2 mm", (SINE,), "0", "no setting that every motion has.*motion.amplitude"),
         ("motion.amplitude=uniform:1..2 N", (SINE,), "0", "motion.amplitude"),
         ("motion.frequency=uniform:1..2 Hz", (SINE, "triangular:speed=0.1,stroke=2mm,rounding=5ms,duration=0.05"), "0",
          "those that may vary are motion.duration"),
         ("motion.speeds=uniform:1..2 m/s", ("staircase:speeds=0.01;0.02,travel=1mm,acceleration=1",), "0",
-         "no setting that every --motion has as one number"),
+         "no setting that every motion has as one number"),
         ("motion.repeats=uniform:1..2", ("trapezoidal:distance=1mm,speed=0.1,acceleration=10",), "0", "no setting"),
-        ("load.workpiece=uniform:1..2 kg", (SINE,), "3 kN", "no setting that --load has"),
+        ("load.workpiece=uniform:1..2 kg", (SINE,), "3 kN", "no setting that the load over time has"),
         ("load.cuts=uniform:1..2 s", (SINE,), REMOVAL, "those that may vary are .*load.workpiece"),
     ],
 )  # fmt: skip

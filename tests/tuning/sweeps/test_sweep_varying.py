@@ -7,31 +7,43 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import DiffdriveError, ParameterError
+from experiments.cli.sweeps import parse_tolerance, parse_vary
 from experiments.studies.demo import PAPER_DRIVE
+from tuning.sweeps.identified import Uncertainty, read_uncertainty
 from tuning.sweeps.samples import correlate, correlation_root, unit_samples
-from tuning.sweeps.varying import tolerance_of, varied_texts
+from tuning.sweeps.varying import all_that_varies
+
+DRIVE = read_axis(PAPER_DRIVE).drive
 
 
 def test_a_spread_is_of_all_parameters_that_are_not_varied_already():
-    texts, none = varied_texts(
-        PAPER_DRIVE, ["plant.mass=normal:2 kg", "friction.viscous.positive=lognormal:1%"], "3%", None
-    )
-    names = [text.partition("=")[0] for text in texts]
-    assert len(set(names)) == len(names)
-    assert "friction.coulomb_screw" in names
-    assert "friction.viscous" not in names  # one direction is: both would be told twice
-    assert "friction.viscous.negative" in names  # the other is left
-    assert "plant.constant_force" not in names  # it is zero: no share of it
-    assert texts[-1].endswith("=lognormal:3%")
+    own = {"plant.mass": "normal:2 kg", "friction.viscous.positive": "lognormal:1%"}
+    vary, none = all_that_varies(DRIVE, own, "3%", None)
+    assert "friction.coulomb_screw" in vary
+    assert "friction.viscous" not in vary  # one direction is: both would be told twice
+    assert "friction.viscous.negative" in vary  # the other is left
+    assert "plant.constant_force" not in vary  # it is zero: no share of it
+    assert vary.items() > own.items()
+    assert set(vary.values()) == {"normal:2 kg", "lognormal:1%", "lognormal:3%"}
     assert not none
 
 
 def test_without_anything_else_parameters_vary_a_little():
-    texts, _ = varied_texts(PAPER_DRIVE, [], None, None)
-    assert all(text.endswith("lognormal:2%") for text in texts)
-    assert varied_texts(PAPER_DRIVE, ["load=uniform:0..5 kN"], None, None)[0] == ("load=uniform:0..5 kN",)
-    assert varied_texts(PAPER_DRIVE, [], "0.05", None)[0][0].endswith("lognormal:5%")
+    assert set(all_that_varies(DRIVE, {}, None, None).vary.values()) == {"lognormal:2%"}
+    own = {"load": "uniform:0..5 kN"}
+    assert all_that_varies(DRIVE, own, None, None).vary == own
+    for share in ("0.05", 0.05, "5%"):
+        assert set(all_that_varies(DRIVE, {}, share, None).vary.values()) == {"lognormal:5%"}
+    with pytest.raises(ParameterError, match=r"spread 3: give a share above 0 and up to 100%, as 3% or 0\.03"):
+        all_that_varies(DRIVE, {}, 3, None)
+
+
+IDENTIFIED = Uncertainty(
+    {"plant.mass": "lognormal:101 kg..0.4%", "plant.constant_force": "normal:3 N..0.5 N"},
+    {"plant.mass": {"plant.constant_force": -0.9}},
+)
 
 
 def test_an_identification_says_what_varies_and_how_it_hangs_together(tmp_path):
@@ -40,26 +52,22 @@ def test_an_identification_says_what_varies_and_how_it_hangs_together(tmp_path):
         '[vary]\n"plant.mass" = "lognormal:101 kg..0.4%"\n"plant.constant_force" = "normal:3 N..0.5 N"\n'
         '[correlation."plant.mass"]\n"plant.constant_force" = -0.9\n'
     )
-    texts, together = varied_texts(PAPER_DRIVE, [], None, path)
-    assert texts == ("plant.mass=lognormal:101 kg..0.4%", "plant.constant_force=normal:3 N..0.5 N")
-    assert together == {"plant.mass": {"plant.constant_force": -0.9}}
+    assert read_uncertainty(path) == IDENTIFIED
+    assert all_that_varies(DRIVE, {}, None, IDENTIFIED) == IDENTIFIED
     # what is given for itself goes before it, and hangs on nothing
-    own = "plant.constant_force=normal:1 N"
-    texts, together = varied_texts(PAPER_DRIVE, [own], None, path)
-    assert texts == (own, "plant.mass=lognormal:101 kg..0.4%")
+    own = {"plant.constant_force": "normal:1 N"}
+    vary, together = all_that_varies(DRIVE, own, None, IDENTIFIED)
+    assert vary == own | {"plant.mass": "lognormal:101 kg..0.4%"}
     assert together == {"plant.mass": {}}
 
 
-def test_one_direction_given_leaves_the_other_as_it_was_identified(tmp_path):
-    path = tmp_path / "uncertainty.toml"
-    path.write_text(
-        '[vary]\n"friction.viscous.positive" = "lognormal:1800..4%"\n'
-        '"friction.viscous.negative" = "lognormal:1700..4%"\n'
-    )
-    own = "friction.viscous.positive=lognormal:9%"
-    assert varied_texts(PAPER_DRIVE, [own], None, path)[0] == (own, "friction.viscous.negative=lognormal:1700..4%")
-    both = "friction.viscous=lognormal:9%"
-    assert varied_texts(PAPER_DRIVE, [both], None, path)[0] == (both,)
+def test_one_direction_given_leaves_the_other_as_it_was_identified():
+    sides = {"friction.viscous.positive": "lognormal:1800..4%", "friction.viscous.negative": "lognormal:1700..4%"}
+    identified = Uncertainty(sides, {})
+    own = {"friction.viscous.positive": "lognormal:9%"}
+    assert all_that_varies(DRIVE, own, None, identified).vary == sides | own
+    both = {"friction.viscous": "lognormal:9%"}
+    assert all_that_varies(DRIVE, both, None, identified).vary == both
 
 
 @pytest.mark.parametrize(
@@ -72,17 +80,20 @@ def test_another_file_is_no_uncertainty(tmp_path, text):
         text, r"is no uncertainty\.toml"
     )
     with pytest.raises(ParameterError, match=rf"odd\.toml: {says}"):
-        varied_texts(PAPER_DRIVE, [], None, path)
+        read_uncertainty(path)
     with pytest.raises(ParameterError, match="no such file"):
-        varied_texts(PAPER_DRIVE, [], None, tmp_path / "absent.toml")
+        read_uncertainty(tmp_path / "absent.toml")
 
 
-def test_tolerances_are_lengths_above_zero():
-    assert tolerance_of(None) is None
-    assert tolerance_of("2um") == pytest.approx(2e-6)
+def test_options_are_read_into_what_python_takes():
+    assert parse_tolerance(None) is None
+    assert parse_tolerance("2um") == pytest.approx(2e-6)
     for bad in ("0", "-1um", "3 N", "2", "0.000002"):
         with pytest.raises(DiffdriveError, match="--tolerance"):
-            tolerance_of(bad)
+            parse_tolerance(bad)
+    assert parse_vary(["load = uniform:0..1", "plant.mass"]) == {"load": "uniform:0..1", "plant.mass": ""}
+    with pytest.raises(ParameterError, match="--vary: load is given more than once"):
+        parse_vary(["load=uniform:0..1", "load =uniform:0..2"])
 
 
 TOGETHER = {"a": {"b": 0.8, "c": -0.3}, "b": {"c": 0.1}}

@@ -9,6 +9,7 @@ import time
 
 import pytest
 
+from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import ParameterError
 from experiments.studies.demo import PAPER_DRIVE
 from tuning.sweeps import workers
@@ -21,7 +22,7 @@ from tuning.sweeps.workers import on_workers
 def wanted():
     motion = "sine:amplitude=1mm,frequency=10Hz,duration=0.05s"
     return SweepSpec.of(
-        PAPER_DRIVE, [motion], ("plant.mass=lognormal:3%", "load=uniform:0..10 kN"), 96, most_in_a_part=8
+        read_axis(PAPER_DRIVE), motion, {"plant.mass": "lognormal:3%", "load": "uniform:0..10 kN"}, 96, most_in_a_part=8
     )
 
 
@@ -68,7 +69,9 @@ def test_workers_that_are_killed_again_and_again_are_given_up(wanted, tmp_path, 
         yield
 
     monkeypatch.setattr(workers, "_compute", broken)
-    with pytest.raises(ParameterError, match=r"--workers 2: .* give fewer; the parts that were done are kept"):
+    with pytest.raises(
+        ParameterError, match=r"workers: the 2 processes .* give fewer; the parts that were done are kept"
+    ):
         run_parts(wanted.plan(), tmp_path, lambda done: None, on_workers(wanted, 2))
     assert len(pools) == workers.MAX_LOSSES
 
