@@ -6,7 +6,8 @@ THE_PAPERS = "pd+fc+le"
 SECTION, AFTER = "[controller]", "[units]"
 COMMENTED = {
     "pd+fc+ls": """[controller]
-kind = "pd+fc+ls"               # pd, dobvsc, pd+ff+dob, pd+fc, pd+fc+le (the paper's), pd+fc+ls or cascade
+kind = "pd+fc+ls"               # PD, friction observer with the load as a state; cascade: most CNCs; unknown: to read
+                                # logs only; all kinds: docs/reference/drive-file.md
 kp = 7979645.34                 # N/m: 50,000 command volts per metre
 kd = 15959.29                   # N s/m: 100 command volts per metre per second
 
