@@ -58,8 +58,8 @@ def read_log(
     [units] and [shifts] of its file), or here.
 
     Args:
-        source: A file (CSV, MAT, Parquet), a data frame of pandas, polars or another library, or a dict of arrays [n]
-            by column.
+        source: A file (of any format in docs/reference/logs.md), a data frame of pandas, polars or another library, or
+            a dict of arrays [n] by column.
         axis: The axis that the log is of.
         columns: The column of each channel, such as `{"position": "ActPos"}`.
         units: What one unit of a channel's column is, such as `{"position": "mm", "command": "15.96 N"}`.

@@ -30,7 +30,7 @@ def demo(
     quick: Annotated[bool, typer.Option(help="Searches from fewer starts: half the time.")] = False,
     svg: Svg = False,
 ) -> None:
-    """The main job: simulate the paper's drive, differentiate it, tune it over loads, and identify a real axis.
+    """A first run without files of your own: simulate, differentiate and tune the paper's drive, identify a real axis.
 
     Takes a minute or two. The real axis is the EMPS benchmark; without its files that part is left out, and said so.
     """
@@ -67,10 +67,21 @@ def simulate(
 def tune(
     drive: DriveFile,
     out: Out = None,
-    speed: Annotated[str, typer.Option(help="Speed of the reversal used for tuning.")] = "10 mm/s",
-    max_load: Annotated[str, typer.Option(help="Highest load; the lowest is none.")] = "12.6 kN",
+    speed: Annotated[
+        str, typer.Option(help="Speed of the reversal used for tuning: state that of your axis.")
+    ] = "10 mm/s",
+    max_load: Annotated[
+        str, typer.Option(help="Highest load on the guides, the lowest is 0: state that of your axis.")
+    ] = "12.6 kN",
     loads: Annotated[int, typer.Option(min=2, max=64, help="Number of loads, evenly spaced.")] = 4,
-    machines: Annotated[int, typer.Option(min=1, max=32, help="Number of machines; the first is the file's own.")] = 2,
+    machines: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            max=32,
+            help="Number of machines that the gains must suit: the file's, and others drawn by --spread.",
+        ),
+    ] = 2,
     spread: Annotated[
         float, typer.Option(callback=finite, min=0.0, max=0.5, help="Uncertainty of the machine's parameters.")
     ] = 0.03,
@@ -82,7 +93,11 @@ def tune(
     ] = 30.0,
     sensitivity: Annotated[
         float | None,
-        typer.Option(callback=finite, min=1.0, help="Largest peak of the sensitivity, Ms; none by default."),
+        typer.Option(
+            callback=finite,
+            min=1.0,
+            help="Largest peak sensitivity, Ms (1.8 keeps a modulus margin of 0.55); by default not limited.",
+        ),
     ] = None,
     noise: Annotated[
         str | None,
@@ -93,9 +108,19 @@ def tune(
         typer.Option(help="Largest RMS load error, or none; by default 1.1 times that of the gains as given."),
     ] = None,
     peak: Annotated[
-        float, typer.Option(callback=finite, min=0.0, help="Weight of the peak error beside the RMS error.")
+        float,
+        typer.Option(
+            callback=finite,
+            min=0.0,
+            help="Weight of the peak tracking error beside the RMS error; 0: the RMS error alone.",
+        ),
     ] = 0.0,
-    aggregation: Annotated[str, typer.Option(help="Over the scenarios: mean, worst or cvar.")] = "mean",
+    aggregation: Annotated[
+        str,
+        typer.Option(
+            help="How the errors of all scenarios become one: mean, worst or cvar (mean of the worst quarter)."
+        ),
+    ] = "mean",
     friction: Annotated[bool, typer.Option("--friction", help="Also tune the observer's friction parameters.")] = False,
     starts: Annotated[
         int, typer.Option(callback=count_of, min=1, help="Number of starts; the first is the file's gains.")

@@ -56,7 +56,7 @@ def identify(
     shift: Shifts = None,
     fix: Annotated[
         list[str] | None,
-        typer.Option(help="A parameter, as the drive file calls it, that stays at its value there; repeatable."),
+        typer.Option(help="A parameter that keeps the drive file's value, by its key there: `mass`; repeatable."),
     ] = None,
     bound: Annotated[
         list[str] | None, typer.Option(help="NAME=LOW:HIGH, in SI or with units: `mass=80:120`; repeatable.")
@@ -64,10 +64,17 @@ def identify(
     load: Loads = None,
     starts: Annotated[
         int,
-        typer.Option(callback=count_of, min=1, help="Number of starts; the first is the inverse dynamics' answer."),
+        typer.Option(
+            callback=count_of,
+            min=1,
+            help="Number of searches; the first starts from the inverse dynamics, the others elsewhere.",
+        ),
     ] = 6,
     seed: Seed = 0,
-    held_out: Annotated[list[Path] | None, typer.Option(help="A log for validation, not fitted; repeatable.")] = None,
+    held_out: Annotated[
+        list[Path] | None,
+        typer.Option(help="A log that is not fitted, only predicted, to validate the result; repeatable."),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Identify in spite of fatal findings.")] = False,
     svg: Svg = False,
 ) -> None:

@@ -70,30 +70,46 @@ StudyFolder = Annotated[
 Svg = Annotated[bool, typer.Option("--svg", callback=figures_as, help="Write each figure as SVG, too, beside its PNG.")]
 Logs = Annotated[
     list[Path],
-    typer.Argument(help="Logs of one machine: CSV, MAT or Parquet.", metavar="LOG...", show_default=False),
+    typer.Argument(
+        help="Logs of one machine: CSV or other text, MAT, Parquet, HDF5, MDF, TDMS, MCAP, SINUMERIK XML, TNCscope.",
+        metavar="LOG...",
+        show_default=False,
+    ),
 ]
 DriveOption = Annotated[
     Path, typer.Option("--drive", help="Drive file: the nominal axis, and columns and units of its logs.")
 ]
 Columns = Annotated[
-    list[str] | None, typer.Option("--column", help="CHANNEL=COLUMN, over the drive file's \\[columns]; repeatable.")
+    list[str] | None,
+    typer.Option(
+        "--column",
+        help="CHANNEL=COLUMN: the column of a channel, `position=ActPos`; takes precedence over the drive file's "
+        "\\[columns]; repeatable. Channels: time, reference, position, command, motor_position, velocity, current, "
+        "load, disturbance, injected, temperature.",
+    ),
 ]
 Units = Annotated[
-    list[str] | None, typer.Option("--unit", help="CHANNEL=UNIT, over the drive file's \\[units]; repeatable.")
+    list[str] | None,
+    typer.Option(
+        "--unit",
+        help="CHANNEL=UNIT: the unit of its column, or what one unit of it is: `position=mm`, `command=1.26 N`; takes "
+        "precedence over the drive file's \\[units]; repeatable.",
+    ),
 ]
 Shifts = Annotated[
     list[str] | None,
     typer.Option(
         "--shift",
-        help="CHANNEL=SAMPLES, over the drive file's \\[shifts]: `command=-1` for one recorded late in all logs, "
-        "`lap2:command=-1` in lap2 alone; repeatable.",
+        help="CHANNEL=SAMPLES: move a channel by whole samples, positive to later times: `command=-1` for one recorded "
+        "a sample late in all logs, `lap2:command=-1` in lap2 alone; takes precedence over \\[shifts]; repeatable.",
     ),
 ]
 Loads = Annotated[
     list[str] | None,
     typer.Option(
         "--load",
-        help="LOG=FORCE: the load (normal to the guides) in a log without a column for it: `lap2.csv=8kN`; repeatable.",
+        help="LOG=FORCE: the constant load (normal force on the guides) while LOG was recorded, if no column holds it: "
+        "`lap2.csv=8kN`; repeatable.",
     ),
 ]
 Machine = Annotated[
@@ -101,7 +117,8 @@ Machine = Annotated[
     typer.Option("--machine", help="Drive file of the machine, where it differs from the controller's nominal model."),
 ]
 Settle = Annotated[
-    float, typer.Option("--settle", callback=finite, min=0.0, help="Seconds at the start that do not count.")
+    float,
+    typer.Option("--settle", callback=finite, min=0.0, help="Seconds at the start that do not count for the errors."),
 ]
 Seed = Annotated[int, typer.Option("--seed", callback=seed_of, help="Seed of the random numbers.")]
 MotionText = Annotated[

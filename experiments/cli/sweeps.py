@@ -51,7 +51,7 @@ def sweep(
         int, typer.Option(callback=count_of, min=1, help="Number of machines; powers of two for sobol.")
     ] = 1024,
     method: Annotated[str, typer.Option(help="sobol, latin-hypercube or random.")] = "sobol",
-    tolerance: Annotated[str | None, typer.Option(help="Error that must not be exceeded: `2um`.")] = None,
+    tolerance: Annotated[str | None, typer.Option(help="Largest tracking error that is allowed: `2um`.")] = None,
     by: Annotated[str, typer.Option(help="The error that counts: peak or rms.")] = "peak",
     settle: Settle = 0.5,
     seed: Seed = 0,
@@ -70,7 +70,7 @@ def sweep(
     out: Out = None,
     svg: Svg = False,
 ) -> None:
-    """Monte Carlo: over the machines, loads and noise that this axis will meet, how often does it miss, and why?
+    """Monte Carlo: over machines, loads and noise, how often does the error exceed the tolerance, and why?
 
     Quantiles of the error and the probability of a miss with their intervals, controllers side by side on the same
     machines, what drives the spread, and the worst machines, each of which `diffdrive replay` runs again. Machines that
@@ -137,7 +137,7 @@ def _read_others(drive: Path, others: Sequence[Path]) -> dict[str, "Axis"]:
 @sweeps.command(cls=Computing)
 def replay(
     folder: Annotated[Path, typer.Argument(help="Folder of a sweep (its --out).")],
-    machine: Annotated[int, typer.Option(callback=count_of, min=0, help="Number of the machine.")],
+    machine: Annotated[int, typer.Option(callback=count_of, min=0, help="Number of the machine, as in worst.csv.")],
     controller: Annotated[str | None, typer.Option(help="By the name of its drive file; default the first.")] = None,
     motion: Annotated[str | None, typer.Option(help="By its name in the sweep; default the first.")] = None,
     out: Out = None,

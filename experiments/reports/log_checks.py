@@ -49,7 +49,7 @@ def check_logs(
 
 def _in_words(findings: int, fatal: int) -> str:
     if not findings:
-        return "Nothing is wrong with them that could be seen."
+        return "No findings: the checks found nothing wrong with the logs."
     if findings == 1:
         wrong = "correct the log first; what is fitted to it would be wrong."
         return f"1 finding, fatal: {wrong}" if fatal else "1 finding, not fatal: the log can be used."

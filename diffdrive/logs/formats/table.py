@@ -85,7 +85,7 @@ def is_number_of_any_style(cell: str) -> bool:
 
 def _why_not_a_number(cell: str, decimal: str) -> str:
     if _is_written_as_number(cell, decimal):
-        return "larger than any number that a computer reckons with; correct or empty this cell"
+        return "larger than any double-precision number; correct or empty this cell"
     if not is_number_of_any_style(cell):
         return "not a number; correct or empty this cell"
     return (
