@@ -154,8 +154,8 @@ def swept_lanes(report: Report) -> dict[str, float]:
         machines = jax.tree.map(lambda leaf: leaf * jnp.ones(count), as_arrays(drive))
         top = float(np.asarray(inputs.load)[-1]) * np.linspace(0.5, 1.5, count)
         ramp = Ramp(*(jnp.asarray(end) for end in (np.zeros(count), top, np.zeros(count), np.full(count, length))))
-        course = LaneCycle(inputs.reference, jnp.zeros(steps), jnp.ones(steps), jnp.asarray(1.0))
-        return lambda: lane_costs(machines, ramp, None, controller, course, sampling, precision)
+        cycle = LaneCycle(inputs.reference, jnp.zeros(steps), jnp.ones(steps), jnp.asarray(1.0))
+        return lambda: lane_costs(machines, ramp, None, controller, cycle, sampling, precision)
 
     with (
         report.working(f"{SWEEP_LANES} lanes on all cores"),

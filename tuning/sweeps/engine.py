@@ -18,7 +18,7 @@ from diffdrive.numerics.arrays import as_arrays, in_precision_of
 Precision = Literal["double", "single"]  # as numpy calls them, too
 
 # Lanes at a time (docs/evidence/performance.md): as a processor's first cache holds; as keep a GPU busy, and as its
-# memory holds if each has a course of its own.
+# memory holds if each has a cycle of its own.
 CPU_BLOCK, GPU_BLOCK, GPU_BLOCK_OWN_CYCLES = 64, 65_536, 1024
 LEAST_IN_A_PART = 1024  # machines: a second or two of work, blocks for sixteen cores
 
@@ -33,7 +33,7 @@ class LaneCycle(NamedTuple):
 
 
 class SweepLanes(NamedTuple):
-    """What differs between machines, [n] each: the leaves of the drive that vary, its load, its noise; its course, or
+    """What differs between machines, [n] each: the leaves of the drive that vary, its load, its noise; its cycle, or
     None where all have the same.
     """
 
@@ -45,12 +45,12 @@ class SweepLanes(NamedTuple):
 
 @eqx.filter_jit
 def _costs(
-    lanes: SweepLanes, fixed: Drive, controller: Controller, course: LaneCycle | None, sampling: Sampling, devices: int
+    lanes: SweepLanes, fixed: Drive, controller: Controller, cycle: LaneCycle | None, sampling: Sampling, devices: int
 ) -> Costs:
-    def share(lanes: SweepLanes, fixed: Drive, controller: Controller, course: LaneCycle | None) -> Costs:
+    def share(lanes: SweepLanes, fixed: Drive, controller: Controller, cycle: LaneCycle | None) -> Costs:
         def simulate_lane(lane: SweepLanes) -> Costs:
             drive = eqx.combine(lane.drive, fixed)
-            own = course if lane.cycle is None else lane.cycle
+            own = cycle if lane.cycle is None else lane.cycle
             assert own is not None  # all have one, or each has its own
             inputs = Inputs(own.reference, own.load, jnp.zeros_like(own.load))
             return running_costs(
@@ -66,14 +66,14 @@ def _costs(
         in_specs=(apart, everywhere, everywhere, everywhere),
         out_specs=apart,
         check_vma=False,
-    )(lanes, fixed, controller, course)
+    )(lanes, fixed, controller, cycle)
 
 
-def block_size(own_courses: bool = False) -> int:
-    """How many lanes run side by side on a device; `own_courses`: each with one of its own."""
+def block_size(own_cycles: bool = False) -> int:
+    """How many lanes run side by side on a device; `own_cycles`: each with one of its own."""
     if jax.default_backend() == "cpu":
         return CPU_BLOCK
-    return GPU_BLOCK_OWN_CYCLES if own_courses else GPU_BLOCK
+    return GPU_BLOCK_OWN_CYCLES if own_cycles else GPU_BLOCK
 
 
 def most_in_a_part() -> int:
@@ -82,18 +82,18 @@ def most_in_a_part() -> int:
 
 
 def lane_costs(
-    machine: Drive, ramp: Ramp, keys: Array | None, controller: Controller, course: LaneCycle, sampling: Sampling,
+    machine: Drive, ramp: Ramp, keys: Array | None, controller: Controller, cycle: LaneCycle, sampling: Sampling,
     precision: Precision = "double",
 ) -> Costs:  # fmt: skip
-    """Costs of machines whose varied leaves, loads and keys are [n], along one course or [n] of them; [n] each.
+    """Costs of machines whose varied leaves, loads and keys are [n], along one cycle or [n] of them; [n] each.
 
     A lane's costs are the same to the last bit however many lanes or devices there are: every block is of one size.
     """
-    count, of_each = np.shape(ramp.load)[0], block_size(np.ndim(course.load) == 2)
+    count, of_each = np.shape(ramp.load)[0], block_size(np.ndim(cycle.load) == 2)
     devices = min(len(jax.devices()), -(-count // of_each))
     total = -(-count // (of_each * devices)) * of_each * devices
     varied, fixed = eqx.partition(as_arrays(machine), lambda leaf: np.ndim(leaf) == 1)
-    own, common = (None, course) if np.ndim(course.load) == 1 else (course, None)
+    own, common = (None, cycle) if np.ndim(cycle.load) == 1 else (cycle, None)
     lanes = SweepLanes(varied, ramp, keys, own)
     if total > count:  # whole blocks on every device
         lanes = jax.tree.map(lambda leaf: leaf[np.arange(total) % count], lanes)

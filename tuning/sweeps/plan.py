@@ -28,7 +28,7 @@ from diffdrive.support.rates import is_same_rate
 from diffdrive.support.resources import require_memory
 from tuning.store.edition import code_digest
 from tuning.store.store import digest
-from tuning.sweeps.courses import (
+from tuning.sweeps.duty_cycles import (
     DutyCycle,
     DutyCycles,
     at_corners,
@@ -43,7 +43,7 @@ from tuning.sweeps.possible import require_buildable, require_on_guides, require
 from tuning.sweeps.samples import Method, correlate, correlation_root, unit_samples
 from tuning.sweeps.varied import VariedQuantity, parse_varied
 
-BYTES_PER_STEP, MAX_BYTES = 160.0, 2e9  # bytes a step of a machine with a course of its own, and of all at once
+BYTES_PER_STEP, MAX_BYTES = 160.0, 2e9  # bytes a step of a machine with a cycle of its own, and of all at once
 
 
 class SweepCosts(NamedTuple):
@@ -68,7 +68,7 @@ class SweepPlan:
     method: Method = "sobol"
     seed: int = 0
     recipes: Mapping[str, Recipe[Motion] | None] = field(default_factory=dict)  # of the motions whose settings may vary
-    load: str = "0"  # over time, as `scenario.parse_load` takes it; a load that varies is added to it
+    load: str = "0"  # over time, as `motion.text.parse_load` takes it; a load that varies is added to it
     settle: float = 0.0  # s at the start that do not count
     correlation: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     most_in_a_part: int = LEAST_IN_A_PART  # a power of two
@@ -133,13 +133,13 @@ class SweepPlan:
         found = []
         for k, number in enumerate(numbers):
             try:
-                course = self.duty_cycles.cycle(motion, {name: value[k] for name, value in values.items()})
-                require_within(course.motion, self.axis.limits)
-                require_longer_than(self.settle, motion, course.motion)
+                cycle = self.duty_cycles.cycle(motion, {name: value[k] for name, value in values.items()})
+                require_within(cycle.motion, self.axis.limits)
+                require_longer_than(self.settle, motion, cycle.motion)
             except (MotionError, ParameterError) as problem:
                 raise ParameterError(f"sweep: machine {number} cannot be: {problem}") from None
-            found.append(course)
-        least = np.array([np.min(course.load) for course in found])
+            found.append(cycle)
+        least = np.array([np.min(cycle.load) for cycle in found])
         machines, ramps = self._build(numbers)
         require_on_guides(numbers, machines, ramps, least, lambda k: [found[k]])
         return found
@@ -155,11 +155,11 @@ class SweepPlan:
             for motion in self.motions if self._setting_indices else ():
                 self.corner_cycles(motion, part)
 
-    def require_machines(self, numbers: np.ndarray, courses: Sequence[DutyCycle]) -> None:
-        """These machines can be, on courses that are the same for all. Raises `ParameterError` that names one."""
-        least = min((float(np.min(course.load)) for course in courses), default=np.inf)
+    def require_machines(self, numbers: np.ndarray, cycles: Sequence[DutyCycle]) -> None:
+        """These machines can be, on cycles that are the same for all. Raises `ParameterError` that names one."""
+        least = min((float(np.min(cycle.load)) for cycle in cycles), default=np.inf)
         machines, ramps = require_buildable(numbers, self._build)
-        require_on_guides(numbers, machines, ramps, np.full(len(numbers), least), lambda _: courses)
+        require_on_guides(numbers, machines, ramps, np.full(len(numbers), least), lambda _: cycles)
 
     def _build(self, numbers: np.ndarray) -> tuple[Drive, Ramp]:
         machine, ramp, _, _ = self.machines(numbers)
@@ -175,7 +175,7 @@ class SweepPlan:
     @cached_property
     def _highest_load(self) -> float:
         """The highest load over time (N), beside what varies of it."""
-        return max((float(np.max(course.load)) for course in self.nominal_cycles), default=0.0)
+        return max((float(np.max(cycle.load)) for cycle in self.nominal_cycles), default=0.0)
 
     @cached_property
     def _envelope(self) -> Envelope:
@@ -208,11 +208,11 @@ class SweepPlan:
     def extreme_cycles(self, motion: str) -> list[DutyCycle]:
         """What comes at worst: the ends of the settings, with the least and the most of the load that varies."""
         planned = self.motions[motion]
-        courses = self.corner_cycles(motion) if self._setting_indices else [DutyCycle(planned, self.loads(planned))]
+        cycles = self.corner_cycles(motion) if self._setting_indices else [DutyCycle(planned, self.loads(planned))]
         ends = {quantity.name: quantity.quantile(np.array([0.0, 1.0])) for quantity in self.varied}
         behind = np.append(ends.get("load.change", []), 0.0)
         more = [load + change for load in ends.get("load", [0.0]) for change in behind]
-        return [DutyCycle(motion, np.concatenate([load + each for each in more])) for motion, load in courses]
+        return [DutyCycle(motion, np.concatenate([load + each for each in more])) for motion, load in cycles]
 
     @cached_property
     def _correlation_root(self) -> np.ndarray | None:
@@ -270,45 +270,43 @@ class SweepPlan:
         sampling, limits = self.axis.sampling, self.axis.limits
 
         def under(
-            controller: str, course: LaneCycle, samples: np.ndarray, some: np.ndarray | EllipsisType = ...
+            controller: str, cycle: LaneCycle, samples: np.ndarray, some: np.ndarray | EllipsisType = ...
         ) -> SweepCosts:
             some_ramps, some_keys = jax.tree.map(lambda leaf: leaf[some], (ramps, keys))
             control = self.controllers[controller]
-            found = lane_costs(lane(drives, some), some_ramps, some_keys, control, course, sampling, self.precision)
+            found = lane_costs(lane(drives, some), some_ramps, some_keys, control, cycle, sampling, self.precision)
             return _outcome(found, samples, sampling.period)
 
         if not self._setting_indices:
             planned = self.motions[motion]
-            course = shared_cycle(DutyCycle(planned, self.loads(planned)), self.settle, limits)
-            return {name: under(name, course, np.full(len(numbers), len(planned.time))) for name in controllers}
+            cycle = shared_cycle(DutyCycle(planned, self.loads(planned)), self.settle, limits)
+            return {name: under(name, cycle, np.full(len(numbers), len(planned.time))) for name in controllers}
         groups: dict[str, list[SweepCosts]] = {name: [] for name in controllers}
         for some in np.split(np.arange(len(numbers)), np.arange(0, len(numbers), self._machines_at_once(motion))[1:]):
-            courses = self.machine_cycles(numbers[some], motion)
-            samples, course = (
-                np.array([len(cycle.load) for cycle in courses]),
-                stacked_cycles(courses, self.settle, limits),
-            )
+            cycles = self.machine_cycles(numbers[some], motion)
+            samples = np.array([len(cycle.load) for cycle in cycles])
+            stacked = stacked_cycles(cycles, self.settle, limits)
             for name, group in groups.items():
-                group.append(under(name, course, samples, some))
+                group.append(under(name, stacked, samples, some))
         return {name: jax.tree.map(lambda *parts: np.concatenate(parts), *group) for name, group in groups.items()}
 
     @cached_property
     def _longest_cycles(self) -> dict[str, int]:
-        """Samples of the longest course of each motion, about."""
-        return {motion: max(len(course.load) for course in self.corner_cycles(motion)) for motion in self.motions}
+        """Samples of the longest cycle of each motion, about."""
+        return {motion: max(len(cycle.load) for cycle in self.corner_cycles(motion)) for motion in self.motions}
 
     def _machines_at_once(self, motion: str) -> int:
-        """How many machines with courses of their own are held in memory: whole blocks, as many as it bears."""
-        of_one = BYTES_PER_STEP * self._longest_cycles[motion] * block_size(own_courses=True)
+        """How many machines with cycles of their own are held in memory: whole blocks, as many as it bears."""
+        of_one = BYTES_PER_STEP * self._longest_cycles[motion] * block_size(own_cycles=True)
         require_memory(
             ParameterError,
-            f"{motion}: {block_size(own_courses=True)} machines side by side, each on its own course of up to "
+            f"{motion}: {block_size(own_cycles=True)} machines side by side, each on its own duty cycle of up to "
             f"{self._longest_cycles[motion]} samples,",
             of_one,
             "shorten the motion, or lower sampling.rate",
         )
         blocks = int(MAX_BYTES / of_one)
-        return block_size(own_courses=True) * max(1, min(blocks, len(jax.devices())))
+        return block_size(own_cycles=True) * max(1, min(blocks, len(jax.devices())))
 
     def costs(self, part: int) -> pa.Table:
         """The machines of a part under every controller on every motion: one row for each."""
@@ -370,5 +368,5 @@ def _signals(motion: Motion) -> tuple[np.ndarray, ...]:
 
 
 def _outcome(costs: Costs, samples: np.ndarray, period: float) -> SweepCosts:
-    """A machine diverged that did not stay to the end of its own course."""
+    """A machine diverged that did not stay to the end of its own cycle."""
     return SweepCosts(costs, np.where(costs.steps_finite >= samples, np.nan, costs.steps_finite * period))

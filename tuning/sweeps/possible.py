@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive
 from diffdrive.motion.load import Ramp
-from tuning.sweeps.courses import DutyCycle
+from tuning.sweeps.duty_cycles import DutyCycle
 
 Made = TypeVar("Made")
 Numbers = Int[np.ndarray, " n"]
@@ -43,18 +43,18 @@ def require_on_guides(
     drives: Drive,
     ramps: Ramp,
     least: Float[np.ndarray, " n"],
-    courses: Callable[[int], Sequence[DutyCycle]],
+    cycles: Callable[[int], Sequence[DutyCycle]],
 ) -> None:
     """Raises `ParameterError` that names the first machine whose load lifts its table off the guides.
 
-    `least` are the loads (N) over time at their least, `courses` those of the k-th machine: where the least of all
+    `least` are the loads (N) over time at their least, `cycles` those of the k-th machine: where the least of all
     loads at once would be too little, it is looked when each acts.
     """
     bounds = -np.broadcast_to(np.asarray(drives.friction.initial_load), len(numbers))
     for k in np.flatnonzero(np.asarray(least + ramps.load + np.minimum(ramps.change, 0.0)) <= bounds):
         ramp = jax.tree.map(lambda leaf, k=k: leaf[k], ramps)
         least_loads = [
-            np.min(load + np.asarray(ramp.at(motion.time - motion.time[0]))) for motion, load in courses(int(k))
+            np.min(load + np.asarray(ramp.at(motion.time - motion.time[0]))) for motion, load in cycles(int(k))
         ]
         if least_loads and min(least_loads) <= bounds[k]:
             raise ParameterError(

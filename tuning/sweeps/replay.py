@@ -112,7 +112,7 @@ def traces(
 ) -> "xarray.Dataset":
     """Signals of some machines along a motion as an xarray.Dataset: [controller, machine, time] each.
 
-    A signal that a controller does not have is NaN, and so is one after the end of a course that is shorter.
+    A signal that a controller does not have is NaN, and so is one after the end of a cycle that is shorter.
     `rms_m` and `peak_m` are the errors of what is recorded.
     Raises `ParameterError` for a signal that there is not.
     """

@@ -1,4 +1,4 @@
-"""What a sweep takes, found before it begins: numbers for its machines, memory for its courses and results, disk."""
+"""What a sweep takes, found before it begins: numbers for its machines, memory for its cycles and results, disk."""
 
 from collections.abc import Iterator
 from pathlib import Path

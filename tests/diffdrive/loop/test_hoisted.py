@@ -122,16 +122,16 @@ def test_the_whole_catalogue_at_once_is_one_kernel():
     ).one_kernel
 
 
-def swept(drive, name, noisy=False, precision="double", own_courses=False):
-    """The blocks of a sweep, compiled; `own_courses`: each machine has a motion and a load over time of its own."""
+def swept(drive, name, noisy=False, precision="double", own_cycles=False):
+    """The blocks of a sweep, compiled; `own_cycles`: each machine has a motion and a load over time of its own."""
     count = 2 * engine.CPU_BLOCK * len(jax.devices())
     machine = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count,)), as_arrays(drive))
     varied, fixed = eqx.partition(machine, lambda leaf: np.ndim(leaf) == 1)
     keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(0), k))(jnp.arange(count)) if noisy else None
     given = inputs()
-    course = engine.LaneCycle(given.reference, given.load, jnp.ones(SAMPLES), jnp.asarray(1.0))
-    every = jax.tree.map(lambda signal: jnp.broadcast_to(signal, (count, *signal.shape)), course)
-    own, common = (every, None) if own_courses else (None, course)
+    cycle = engine.LaneCycle(given.reference, given.load, jnp.ones(SAMPLES), jnp.asarray(1.0))
+    every = jax.tree.map(lambda signal: jnp.broadcast_to(signal, (count, *signal.shape)), cycle)
+    own, common = (every, None) if own_cycles else (None, cycle)
     lanes = engine.SweepLanes(varied, Ramp(*(jnp.zeros(count) for _ in range(4))), keys, own)
     models = (lanes, fixed, as_arrays(CONTROLLERS[name]), common)
     models = in_precision_of(jnp.zeros((), precision), models)
@@ -148,8 +148,8 @@ def test_without_noise_and_in_single_precision_too(noisy, precision):
     assert one_kernel(swept(PAPER, "PD+FC+LE", noisy, precision))
 
 
-def test_machines_with_courses_of_their_own_are_one_kernel():
-    assert one_kernel(swept(PAPER, "PD+FC+LE", own_courses=True))
+def test_machines_with_cycles_of_their_own_are_one_kernel():
+    assert one_kernel(swept(PAPER, "PD+FC+LE", own_cycles=True))
 
 
 def test_a_sweep_over_the_whole_catalogue_is_one_kernel():

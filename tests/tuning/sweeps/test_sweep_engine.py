@@ -21,7 +21,7 @@ from diffdrive.model.presets import paper_drive
 from diffdrive.motion.motion import Limits
 from diffdrive.numerics.arrays import as_arrays
 from experiments.studies.paper import scenario as paper
-from tuning.sweeps.courses import DutyCycle, shared_cycle
+from tuning.sweeps.duty_cycles import DutyCycle, shared_cycle
 from tuning.sweeps.engine import lane_costs
 from tuning.sweeps.machines import lane, machines
 from tuning.sweeps.samples import unit_samples
@@ -42,9 +42,9 @@ def swept(name="PD+FC+LE", count=128, first=0, to=None, precision="double", driv
     drawn = unit_samples("sobol", len(TEXTS), 3, 0, count)[first:to]
     machine, ramp, _ = machines(drive, [parse_varied(text, drive) for text in TEXTS], drawn)
     keys = jax.vmap(lambda k: jax.random.fold_in(jax.random.key(3), k))(jnp.arange(first, first + len(drawn)))
-    course = shared_cycle(DutyCycle(THERE, np.zeros(len(THERE.time))), 0.0201, Limits())
+    cycle = shared_cycle(DutyCycle(THERE, np.zeros(len(THERE.time))), 0.0201, Limits())
     controller = paper.controllers(drive)[name]
-    found = lane_costs(machine, ramp, keys, controller, course, SAMPLING, precision)
+    found = lane_costs(machine, ramp, keys, controller, cycle, SAMPLING, precision)
     return found, (machine, ramp, keys, controller)
 
 
@@ -75,10 +75,10 @@ def test_a_machine_diverges_in_a_sweep_where_it_does_alone():
     there = motion.sine(amplitude=1e-3, frequency=4.0, duration=0.3, rate=1e4)
     drawn = np.linspace(0.0, 1.0, 64).reshape(-1, 1)
     machine, ramp, _ = machines(drive, [parse_varied("plant.mass=uniform:4.7..4.9 kg", drive)], drawn)
-    course, reach = shared_cycle(DutyCycle(there, np.zeros(len(there.time))), 0.0, Limits()), 0.1
+    cycle, reach = shared_cycle(DutyCycle(there, np.zeros(len(there.time))), 0.0, Limits()), 0.1
     control = paper.controllers(drive)["PD"]
     assert divergence_bound(there.position, Limits()) == reach
-    found = lane_costs(machine, ramp, None, control, course, SAMPLING)
+    found = lane_costs(machine, ramp, None, control, cycle, SAMPLING)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         alone = [

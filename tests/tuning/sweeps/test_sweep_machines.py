@@ -62,23 +62,23 @@ def test_a_machine_that_cannot_be_is_named():
 @pytest.mark.parametrize("ends", [(0.01, 0.03), (0.02, 0.02)])
 def test_a_ramp_is_the_piecewise_load_of_its_four_numbers(ends):
     time = 1e-4 * np.arange(500)
-    course = Ramp(*(jnp.asarray(x) for x in (2e3, -1.5e3, *ends)))
+    change = Ramp(*(jnp.asarray(x) for x in (2e3, -1.5e3, *ends)))
     expected = (
         load.ramp(time, start=ends[0], end=ends[1], before=2e3, to=500.0)
         if ends[0] < ends[1]
         else load.step(time, at=ends[0] + 1e-9, before=2e3, to=500.0)
     )
-    assert np.allclose(jax.vmap(course.at)(jnp.asarray(time)), expected, rtol=1e-12, atol=1e-6)
+    assert np.allclose(jax.vmap(change.at)(jnp.asarray(time)), expected, rtol=1e-12, atol=1e-6)
 
 
 def test_costs_under_a_ramp_are_those_under_its_load():
     there = motion.sine(amplitude=1e-3, frequency=5.0, duration=0.05, rate=1e4)
     models = as_arrays((DRIVE, PD(paper_tracking(DRIVE, PAPER_KP, PAPER_KD))))
-    course, counts = Ramp(*map(jnp.asarray, (1e3, 5e3, 0.01, 0.03))), jnp.ones(len(there.time))
+    change, counts = Ramp(*map(jnp.asarray, (1e3, 5e3, 0.01, 0.03))), jnp.ones(len(there.time))
     none, applied = (
         loop_inputs(there, one)
         for one in (np.zeros(len(there.time)), load.ramp(there.time, start=0.01, end=0.03, before=1e3, to=6e3))
     )
-    by_ramp = running_costs(*models, none, counts, Sampling(), ramp=course)
+    by_ramp = running_costs(*models, none, counts, Sampling(), ramp=change)
     assert float(by_ramp.rms) == pytest.approx(float(running_costs(*models, applied, counts, Sampling()).rms), rel=1e-9)
     assert float(by_ramp.rms) != pytest.approx(float(running_costs(*models, none, counts, Sampling()).rms), rel=0.01)

@@ -1,4 +1,4 @@
-"""Machines whose motion and load differ: each goes through its own course as if it were alone."""
+"""Machines whose motion and load differ: each goes through its own cycle as if it were alone."""
 
 import dataclasses
 import json
@@ -20,7 +20,7 @@ from diffdrive.motion.text import LOADS, MOTIONS, motion_recipe, parse_load, par
 from experiments.cli.main import app
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.paper import scenario as paper
-from tuning.sweeps.courses import _rounded_up, at_corners
+from tuning.sweeps.duty_cycles import _rounded_up, at_corners
 from tuning.sweeps.engine import block_size
 from tuning.sweeps.machines import lane
 from tuning.sweeps.plan import SweepPlan
@@ -65,7 +65,7 @@ def test_each_machine_has_the_errors_of_its_own_motion_under_its_own_load():
     assert 1e-3 / np.median(told["motion.amplitude"]) == pytest.approx(1e-3 / 1.1e-3, rel=0.05)
 
 
-def test_a_machine_has_the_same_bits_whichever_courses_are_beside_it():
+def test_a_machine_has_the_same_bits_whichever_cycles_are_beside_it():
     """Shorter ones, longer ones, another length to which all are filled up."""
     planned = plan()
     together = planned.costs_of(planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs
@@ -86,8 +86,8 @@ def test_a_load_alone_may_vary_and_a_setting_of_several_motions_is_relative_to_e
     assert len(set(small)) == 8
 
 
-def test_a_loop_that_runs_away_after_the_end_of_its_course_has_not_diverged():
-    """Short courses beside long ones, at whose end the loop is beyond what a number can be."""
+def test_a_loop_that_runs_away_after_the_end_of_its_cycle_has_not_diverged():
+    """Short cycles beside long ones, at whose end the loop is beyond what a number can be."""
     late = dataclasses.replace(DRIVE, actuator=Actuator(delay_samples=60))
     vary = ("motion.duration=loguniform:0.03..1.5 s",)
     planned = plan(vary, 64, load="0", name="PD", drive=late)
@@ -118,9 +118,9 @@ def test_how_many_are_held_at_once_changes_nothing(monkeypatch):
 
 def test_memory_bounds_how_many_are_held_at_once(monkeypatch):
     planned = plan()
-    assert planned._machines_at_once(SINE) == block_size(own_courses=True) * len(jax.devices())
+    assert planned._machines_at_once(SINE) == block_size(own_cycles=True) * len(jax.devices())
     monkeypatch.setattr("tuning.sweeps.plan.MAX_BYTES", 1.0)
-    assert planned._machines_at_once(SINE) == block_size(own_courses=True)
+    assert planned._machines_at_once(SINE) == block_size(own_cycles=True)
 
 
 def test_what_no_machine_runs_refuses_none():

@@ -1,6 +1,6 @@
 """What each machine of a sweep goes through: a motion and a load, with those of their settings that vary.
 
-A setting varies under the name `motion.stroke` or `load.workpiece`. A sweep without such settings has one course for
+A setting varies under the name `motion.stroke` or `load.workpiece`. A sweep without such settings has one cycle for
 all machines. With them each machine has its own, as long as it is, and rests where it ended until the longest of those
 beside it ends.
 """
@@ -59,7 +59,7 @@ class DutyCycles:
 
     motions: Mapping[str, Motion]
     recipes: Mapping[str, Recipe[Motion] | None]
-    load: str  # as `scenario.parse_load` takes it
+    load: str  # as `motion.text.parse_load` takes it
     rate: float  # Hz
     varied: tuple[VariedQuantity, ...]
 
@@ -76,7 +76,7 @@ class DutyCycles:
         }
 
     def cycle(self, name: str, values: Mapping[str, float]) -> DutyCycle:
-        """The course with a motion of that name and such settings. Raises `MotionError` for settings that make none."""
+        """The cycle with a motion of that name and such settings. Raises `MotionError` for settings that make none."""
         motion, recipe = self.motions[name], self.recipes.get(name)
         of_motion, of_load = (
             {key.removeprefix(of): float(value) for key, value in values.items() if key.startswith(of)}
@@ -97,9 +97,9 @@ def at_corners(shares: Float[np.ndarray, "n d"]) -> list[int]:
     return sorted({int(np.argmax(shares @ np.asarray(way))) for way in every})
 
 
-def shared_cycle(course: DutyCycle, settle: float, limits: Limits) -> engine.LaneCycle:
-    """The course of all machines, as the engine takes it; its first `settle` seconds do not count."""
-    motion, load = course
+def shared_cycle(cycle: DutyCycle, settle: float, limits: Limits) -> engine.LaneCycle:
+    """The cycle of all machines, as the engine takes it; its first `settle` seconds do not count."""
+    motion, load = cycle
     position, velocity, acceleration, loads, mask, max_error = (
         jnp.asarray(signal, float)
         for signal in (
@@ -114,17 +114,17 @@ def shared_cycle(course: DutyCycle, settle: float, limits: Limits) -> engine.Lan
     return engine.LaneCycle(Reference(position, velocity, acceleration), loads, mask, max_error)
 
 
-def stacked_cycles(courses: Sequence[DutyCycle], settle: float, limits: Limits) -> engine.LaneCycle:
-    """The same of several machines side by side, [n, t]; where a shorter course rests does not count."""
-    shape = len(courses), _rounded_up(max(len(cycle.load) for cycle in courses))
+def stacked_cycles(cycles: Sequence[DutyCycle], settle: float, limits: Limits) -> engine.LaneCycle:
+    """The same of several machines side by side, [n, t]; where a shorter cycle rests does not count."""
+    shape = len(cycles), _rounded_up(max(len(cycle.load) for cycle in cycles))
     position, velocity, acceleration, loads, counts = (np.zeros(shape) for _ in range(5))
-    for k, (motion, load) in enumerate(courses):
+    for k, (motion, load) in enumerate(cycles):
         end = len(load)
         position[k, :end], position[k, end:] = motion.position, motion.position[-1]
         velocity[k, :end], acceleration[k, :end] = motion.velocity, motion.acceleration
         loads[k, :end], loads[k, end:] = load, load[-1]
         counts[k, :end] = motion.time >= settle
-    reach = np.array([divergence_bound(motion.position, limits) for motion, _ in courses])
+    reach = np.array([divergence_bound(motion.position, limits) for motion, _ in cycles])
     reference = Reference(position, velocity, acceleration)  # type: ignore[arg-type]  # numpy, until a block is run
     return engine.LaneCycle(reference, loads, counts, reach)  # type: ignore[arg-type]  # the same
 
