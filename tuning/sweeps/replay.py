@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array
@@ -11,7 +10,7 @@ from jaxtyping import Array
 from diffdrive.effects.stages import force_limit
 from diffdrive.errors import ParameterError
 from diffdrive.loop.run import Run, with_status
-from diffdrive.loop.simulate import loop_inputs, rollout
+from diffdrive.loop.simulate import compiled_rollout, loop_inputs
 from diffdrive.model.parameters import Drive
 from diffdrive.motion.load import Ramp
 from diffdrive.numerics.arrays import as_arrays
@@ -33,8 +32,6 @@ SIGNALS = {
     "load": "N",
     "load_estimate": "N",
 }
-
-_rollout = eqx.filter_jit(rollout)
 
 
 class SweepMachine(NamedTuple):
@@ -83,7 +80,9 @@ def machine_run(plan: SweepPlan, machine: SweepMachine, controller: str, motion:
     )
     loads = over_time + np.asarray(machine.ramp.at(planned.time - planned.time[0]))
     inputs = loop_inputs(planned, loads)
-    frames = _rollout(as_arrays(machine.drive), as_arrays(control), inputs, plan.axis.sampling, machine.key, every)
+    frames = compiled_rollout(
+        as_arrays(machine.drive), as_arrays(control), inputs, plan.axis.sampling, machine.key, every
+    )
     limit = force_limit(machine.drive)
     return with_status(
         Run.from_frames(planned, loads, frames, every), plan.axis.limits, None if limit is None else float(limit)
