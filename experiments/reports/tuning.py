@@ -14,6 +14,7 @@ from experiments.reports.axis_file import write_axis_file
 from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
+from tuning.gains.checkpoint import CHECKPOINT
 from tuning.gains.handover import LABELS, handover, worst_margins, write_handover
 from tuning.gains.pareto import pareto_front
 from tuning.gains.plan import ScenarioResult, TuningPlan
@@ -33,7 +34,6 @@ UNITS = {
     "settling": "settling_s",
 }
 LARGE_LOAD_ERROR = 1.0  # kN
-CHECKPOINT = "tuning.checkpoint.json"
 
 
 def tune_and_report(axis: Axis, report: Report, *, pareto: Sequence[float] = (), **options: Any) -> TuningResult:
@@ -44,7 +44,7 @@ def tune_and_report(axis: Axis, report: Report, *, pareto: Sequence[float] = (),
     """
     checkpoint = None if report.out is None else report.out / CHECKPOINT
     with report.stages() as advance, stop_at_next_step(advance, report.say) as progress:
-        result = tune(axis, checkpoint=checkpoint, progress=progress, **options)
+        result = tune(axis, resume=report.out, progress=progress, **options)
     if result.status.code == "interrupted" and checkpoint is not None and checkpoint.exists():
         report.say(f"The same command continues the search from {CHECKPOINT}.")
     report_tuning(report, result)

@@ -137,16 +137,16 @@ def tune(
     *,
     objective: Objective = Objective(),
     options: SearchOptions = SearchOptions(),
-    checkpoint: Path | None = None,
+    resume: str | Path | None = None,
     progress: StepProgress = no_progress,
 ) -> GainSearch:
     """Tune `controller` over `scenarios` within `requirements`; verify the result on the exact simulator.
 
     The first start is the controller as given, the others are drawn about it: the landscape has several valleys of
-    nearly the same depth (docs/method/tuning.md). An unstable start is first led to where the loop is stable. With a
-    `checkpoint` the search goes on there where it was stopped, by a kill or by Ctrl-C, and takes the same steps as if
-    it had not been. Raises `ParameterError` for parameters out of bounds and
-    `CheckpointError` for a checkpoint of another problem.
+    nearly the same depth (docs/method/tuning.md). An unstable start is first led to where the loop is stable. From the
+    folder `resume` the search goes on there where it was stopped, by a kill or by Ctrl-C, and takes the same steps as
+    if it had not been. Raises `ParameterError` for parameters out of bounds and `CheckpointError` for a folder with the
+    checkpoint of another problem.
     """
     require_double_precision()
     check(controller)
@@ -154,7 +154,7 @@ def tune(
     gains = ConstrainedGains(space.free, objective)
     problem = tuning_problem(as_arrays(smooth(controller)), space, scenarios, requirements)
     points = _start_points(len(space.free), options)
-    checkpoints = Checkpoint(checkpoint, (space, problem, objective, points))
+    checkpoint = Checkpoint(resume, (space, problem, objective, points))
     started = time.perf_counter()
     start_points = [
         jax.block_until_ready(evaluate(gains, jnp.asarray(point), problem))  # type: ignore[no-untyped-call]
@@ -165,14 +165,14 @@ def tune(
     results: list[SearchResult] = []
     objectives = np.full(options.starts, np.inf)
     for k in order:
-        start = checkpoints.state_of(int(k)) or SearchState(tuple(float(value) for value in points[k]))
+        start = checkpoint.state_of(int(k)) or SearchState(tuple(float(value) for value in points[k]))
         result = search(
             gains,
             problem,
             start,
             max_steps=options.max_steps,
             progress=progress,
-            keep=functools.partial(checkpoints.save, int(k)),
+            keep=functools.partial(checkpoint.save, int(k)),
         )
         results.append(result)
         objectives[k] = (

@@ -31,7 +31,7 @@ def tune(
     starts: int = STARTS,
     seed: int = 0,
     max_steps: int = MAX_STEPS,
-    checkpoint: Path | None = None,
+    resume: str | Path | None = None,
     progress: Progress | None = None,
     throw: bool = False,
 ) -> TuningResult:
@@ -55,13 +55,14 @@ def tune(
         starts: Starting points of the search.
         seed: Of the machines, the noise, and the starting points.
         max_steps: Steps of each search.
-        checkpoint: A file from which an interrupted call continues.
+        resume: A folder in which what is finished is kept, from which the same call continues.
         progress: Called with (stage, done, of how many).
         throw: Raise an error where the result is not accepted.
 
     Raises:
         ParameterError: What is asked for cannot be tuned, kept by any loop, or seen of this controller.
         MotionError: The motion leaves the axis's limits.
+        CheckpointError: What is in the folder `resume` is of another call.
         ResultError: The result is not accepted, with `throw`.
 
     Examples:
@@ -82,7 +83,7 @@ def tune(
         with searching(tell, f"tuning {len(prepared.space.names)} gains by gradient") as step:
             tuned = search_gains(
                 axis.controller, prepared.lanes, prepared.constraints, prepared.space, objective=objective,
-                options=options, checkpoint=checkpoint, progress=step,
+                options=options, resume=resume, progress=step,
             )  # fmt: skip
         tell("verifying on the exact simulator", 0, 1)
         margins = margins_at(axis, [axis.controller, tuned.controller], plan)

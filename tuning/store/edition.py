@@ -15,12 +15,13 @@ import diffdrive
 import tuning
 from diffdrive.controllers import KINDS
 from diffdrive.effects.catalogue import EFFECTS
+from tuning.gains.objective import AGGREGATIONS
 
 
 def code_digest(*modules: str) -> str:
     """A digest of the simulator, of the tuning, of further modules by their names, and of what else is registered."""
     text = hashlib.sha256(_of_packages(*modules).encode())
-    for definition in (*EFFECTS.values(), *(kind.build for kind in KINDS.values())):
+    for definition in (*EFFECTS.values(), *(kind.build for kind in KINDS.values()), *AGGREGATIONS.values()):
         if definition.__module__.split(".")[0] not in (diffdrive.__name__, tuning.__name__):
             text.update(_source_of(definition).encode())
     return text.hexdigest()
@@ -28,7 +29,7 @@ def code_digest(*modules: str) -> str:
 
 @functools.cache
 def _source_of(definition: Callable[..., object]) -> str:
-    """The source of the module that an effect or a controller of one's own is written in.
+    """The source of the module that an effect, a controller or an objective of one's own is written in.
 
     Where nobody can say what it is, as of what was typed, it is that of no other program.
     """

@@ -24,7 +24,7 @@ from diffdrive.support.atomic_write import (
 from experiments.reports.report import Report, new_figure
 from tests.support.small_disk import simulated_disk
 from tests.support.sound_log import DRIVE, SOUND
-from tuning.gains.checkpoint import Checkpoint
+from tuning.gains.checkpoint import CHECKPOINT, Checkpoint
 from tuning.gains.sequential import SearchState
 from tuning.sweeps.parts import write_part
 
@@ -108,7 +108,7 @@ def table(path):
 
 
 def checkpoint(path):
-    Checkpoint(path, "problem").save(0, SearchState(theta=tuple(np.arange(500.0))))
+    Checkpoint(path.parent, "problem").save(0, SearchState(theta=tuple(np.arange(500.0))))
 
 
 WRITERS = {
@@ -122,7 +122,7 @@ WRITERS = {
     "part-000000.parquet": lambda path: write_part(
         pa.table({"rms_m": np.random.default_rng(0).random(4000)}), path, "?"
     ),
-    "checkpoint.json": checkpoint,
+    CHECKPOINT: checkpoint,
 }
 
 

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import DiffdriveError
 from experiments.cli.main import app
-from experiments.reports.tuning import CHECKPOINT
+from tuning.gains.checkpoint import CHECKPOINT
 
 # an axis at 2 kHz: its programs compile in seconds
 DRIVE = """

@@ -13,6 +13,7 @@ from diffdrive.loop.smooth import smooth
 from diffdrive.numerics.arrays import as_arrays
 from experiments.studies.paper import scenario as paper
 from tests.support.small_tuning import LIMITS, controller, drive, lanes, requirements, small_problem
+from tuning.gains.checkpoint import CHECKPOINT
 from tuning.gains.constrained import ConstrainedGains, evaluate, linearise_at, tuning_problem
 from tuning.gains.objective import Objective
 from tuning.gains.requirements import LoopLimits
@@ -180,34 +181,33 @@ def test_an_unstable_start_is_led_to_stable_gains(factor, usual):
 
 
 def test_a_killed_search_goes_on_to_the_same_end(tmp_path, usual):
-    path = tmp_path / "tuning.json"
     for steps in (1, 2, 5):
 
         def stop(count, most, cost, steps=steps):
             if count >= steps:
                 raise KeyboardInterrupt
 
-        tuned(checkpoint=path, progress=stop)
-    finished = tuned(checkpoint=path)
+        tuned(resume=str(tmp_path), progress=stop)
+    finished = tuned(resume=str(tmp_path))
     assert finished.best.state.steps == usual.best.state.steps
     np.testing.assert_allclose(finished.after, usual.after, rtol=1e-12)
     assert float(finished.point.objective) == pytest.approx(float(usual.point.objective), rel=1e-12)
 
 
 def test_a_checkpoint_of_another_problem_or_damaged_is_refused(tmp_path):
-    path = tmp_path / "tuning.json"
+    path = tmp_path / CHECKPOINT
 
     def stop(count, most, cost):
         raise KeyboardInterrupt
 
-    tuned(checkpoint=path, progress=stop)
-    with pytest.raises(CheckpointError, match=r"tuning\.json: is the checkpoint of another tuning .* delete it"):
-        tuned(TIGHT, checkpoint=path)
+    tuned(resume=str(tmp_path), progress=stop)
+    with pytest.raises(CheckpointError, match=r"checkpoint\.json: is the checkpoint of another tuning .* delete it"):
+        tuned(TIGHT, resume=str(tmp_path))
     held = json.loads(path.read_text())
     for text in ("{", json.dumps({"problem": held["problem"]}), json.dumps(held | {"standings": {"0": {"y": 3}}})):
         path.write_text(text)
         with pytest.raises(CheckpointError, match="is no checkpoint of a tuning"):
-            tuned(checkpoint=path)
+            tuned(resume=str(tmp_path))
 
 
 def test_an_interrupted_tuning_returns_the_best_so_far():

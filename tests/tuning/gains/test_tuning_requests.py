@@ -7,9 +7,11 @@ import pytest
 
 import diffdrive as dd
 import tuning
-from diffdrive.errors import ParameterError
+from diffdrive.errors import CheckpointError, ParameterError
 from tuning.gains import setup
+from tuning.gains.checkpoint import Checkpoint
 from tuning.gains.plan import TuningPlan
+from tuning.gains.sequential import SearchState
 from tuning.gains.setup import set_up
 
 LAP = dd.motion.triangular(speed=0.010, stroke=0.0009, rounding=0.02, duration=0.2, rate=dd.paper_axis().rate)
@@ -98,3 +100,12 @@ def test_an_objective_that_cannot_be_is_refused_where_it_is_made(asked, says):
 def test_a_factor_of_the_gains_as_given_is_a_positive_number(factor):
     with pytest.raises(ParameterError, match="AsGiven: factor: must be above 0"):
         tuning.AsGiven(factor)
+
+
+def test_a_tuning_goes_on_from_its_folder_alone(tmp_path):
+    folder, state = tmp_path / "new", SearchState(theta=(1.0, 2.0))
+    Checkpoint(str(folder), np.zeros(2)).save(0, state)
+    assert Checkpoint(folder, np.zeros(2)).state_of(0) == state
+    for other in (np.zeros((2, 1)), np.zeros(4, np.float32)):  # of the same bytes
+        with pytest.raises(CheckpointError, match="is the checkpoint of another tuning"):
+            Checkpoint(folder, other)

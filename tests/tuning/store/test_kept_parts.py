@@ -13,7 +13,6 @@ import pytest
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.model.parameters import Sampling
 from experiments.cli.ending import CONTINUED
-from experiments.reports import tuning as tune
 from experiments.reports.diagnosis import diagnosis as diagnose
 from experiments.reports.identification import identification as identify
 from experiments.reports.sweep import sweep
@@ -27,6 +26,8 @@ from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.priors import ITSELF, LOG_ODDS, LOGARITHM, Parameter
 from tuning.diagnosis.search import look, recalibrated
 from tuning.diagnosis.setting import setting
+from tuning.gains.checkpoint import CHECKPOINT
+from tuning.gains.objective import AGGREGATIONS
 from tuning.store import edition
 from tuning.store.folder import FolderStore
 from tuning.store.store import digest
@@ -51,7 +52,7 @@ def test_a_part_is_read_as_it_was_written_and_a_damaged_one_is_none(tmp_path):
 
 
 def test_what_commands_continue_from_is_said_when_they_are_interrupted():
-    names = (diagnose.PARTS, identify.PARTS, real_axes.PARTS, tune.CHECKPOINT, sweep.PARTS)
+    names = (diagnose.PARTS, identify.PARTS, real_axes.PARTS, CHECKPOINT, sweep.PARTS)
     assert set(names) < set(CONTINUED)
 
 
@@ -100,6 +101,32 @@ def test_another_source_of_an_effect_of_ones_own_is_another_edition(tmp_path, mo
     finally:
         EFFECTS.remove("weight")
         sys.modules.pop("own_weight", None)
+
+
+OBJECTIVE = """
+import tuning
+
+@tuning.register_aggregation("sum")
+def total(costs):
+    return {factor} * costs.sum()
+"""
+
+
+def test_another_source_of_an_objective_of_ones_own_is_another_edition(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    found = [edition.code_digest()]
+    try:
+        for factor in (1.0, 2.0):
+            (tmp_path / "own_objective.py").write_text(OBJECTIVE.format(factor=factor))
+            sys.modules.pop("own_objective", None)
+            linecache.clearcache()
+            importlib.import_module("own_objective")
+            found.append(edition.code_digest())
+        assert len(set(found)) == 3
+    finally:
+        AGGREGATIONS.remove("sum")
+        sys.modules.pop("own_objective", None)
 
 
 class Interrupted(FolderStore):
