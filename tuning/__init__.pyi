@@ -1,6 +1,6 @@
 from .diagnosis.workflow import Cause, DiagnosisResult, diagnose
 from .gains.objective import Objective, register_aggregation
-from .gains.pareto import ParetoPoint, pareto_front
+from .gains.pareto import ParetoFront, ParetoPoint, pareto_front
 from .gains.requirements import AsGiven, Requirements
 from .gains.result import TuningResult
 from .gains.workflow import tune
@@ -14,6 +14,7 @@ __all__ = [
     "DiagnosisResult",
     "IdentificationResult",
     "Objective",
+    "ParetoFront",
     "ParetoPoint",
     "Requirements",
     "SweepResult",

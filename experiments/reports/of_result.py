@@ -17,8 +17,9 @@ from experiments.reports.identification.identification import report_identificat
 from experiments.reports.report import Report
 from experiments.reports.simulation import write_simulation
 from experiments.reports.sweep.sweep import introduce, report_sweep
-from experiments.reports.tuning import report_tuning
+from experiments.reports.tuning import report_pareto, report_tuning
 from tuning.diagnosis.workflow import DiagnosisResult
+from tuning.gains.pareto import ParetoFront
 from tuning.gains.result import TuningResult
 from tuning.identification.workflow import IdentificationResult
 from tuning.sweeps.result import SweepResult
@@ -87,6 +88,11 @@ def _(result: DiagnosisResult, writer: Report) -> None:
 @section.register
 def _(result: TuningResult, writer: Report) -> None:
     report_tuning(writer, result)
+
+
+@section.register
+def _(result: ParetoFront, writer: Report) -> None:
+    report_pareto(writer, result)
 
 
 @section.register

@@ -16,7 +16,7 @@ from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
 from tuning.gains.checkpoint import CHECKPOINT
 from tuning.gains.handover import LABELS, handover, worst_margins, write_handover
-from tuning.gains.pareto import pareto_front
+from tuning.gains.pareto import ParetoFront, pareto_front
 from tuning.gains.plan import ScenarioResult, TuningPlan
 from tuning.gains.requirements import LoopLimits
 from tuning.gains.result import BELIEVED, TuningResult, remarks
@@ -49,7 +49,9 @@ def tune_and_report(axis: Axis, report: Report, *, pareto: Sequence[float] = (),
         report.say(f"The same command continues the search from {CHECKPOINT}.")
     report_tuning(report, result)
     if pareto:
-        _pareto(report, result, pareto)
+        with report.stages() as advance, stop_at_next_step(advance, report.say) as progress:
+            front = pareto_front(result, pareto, progress=progress)
+        report_pareto(report, front)
     if result.accepted and checkpoint is not None:
         checkpoint.unlink(missing_ok=True)
     return result
@@ -209,15 +211,15 @@ def _scaled(result: ScenarioResult, measure: str) -> float | None:
     return None if value is None else MEASURES[measure] * float(value)
 
 
-def _pareto(report: Report, result: TuningResult, noise_limits: Sequence[float]) -> None:
+def report_pareto(report: Report, front: ParetoFront) -> None:
     """Tracking error against command noise: the gains tuned again under each limit, from the ones given."""
-    with report.stages() as progress:
-        front = pareto_front(result, noise_limits, progress=progress)
-    rows = [[*point[:4], 1e6 * point.rms] for point in front]
+    for note in front.notes if front.status.ok else (front.status.message, *front.notes):
+        report.say(note)
+    rows = [[*point[:4], 1e6 * point.rms] for point in front.points]
     columns = ("noise limit N", "objective", "feasible", "held-out noise N", "held-out RMS um")
     report.table("pareto", columns, rows, "Tuned again under each limit of the command noise")
     figure, axis = new_figure()
-    kept = [point for point in front if point.feasible]
+    kept = [point for point in front.points if point.feasible]
     axis.plot(
         [point.noise_limit for point in kept], [point.objective for point in kept], "o-",
         label="tuned on: objective at its limit",

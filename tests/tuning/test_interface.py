@@ -11,6 +11,8 @@ import experiments
 import tuning
 from diffdrive.errors import LogError, ParameterError, ResultError
 from tests.support.sound_log import DRIVE, SOUND
+from tuning.gains import pareto
+from tuning.gains.tune import SearchOptions
 
 AXIS = dd.paper_axis(controller="pd+fc+ls")
 LAP = dd.motion.triangular(speed=0.010, stroke=0.0009, rounding=0.02, duration=0.2, rate=AXIS.rate)
@@ -94,6 +96,52 @@ def test_a_report_of_tuned_gains_has_the_axis_to_run(tuned, tmp_path):
     assert (told["schema"], told["status"]["ok"], told["accepted"]) == ("tuning/2", True, True)
     assert dd.read_axis(tmp_path / "out" / "tuned.toml").gains == pytest.approx(tuned[0].axis.gains)
     assert {"nyquist.png", "tuning.png", "verification.csv"} <= {one.name for one in (tmp_path / "out").iterdir()}
+
+
+@pytest.fixture
+def searched_again(tuned, monkeypatch):
+    """What a Pareto front searches, and the search that it finds each time: that of the result."""
+    asked, found = [], [tuned[0].search]
+
+    def search(controller, lanes, constraints, space, **named):
+        asked.append((controller, float(constraints.limits.command_noise), space, named["objective"], named["options"]))
+        return found[0]
+
+    monkeypatch.setattr(pareto, "search_gains", search)
+    return asked, found
+
+
+def test_a_pareto_front_is_searched_as_its_result_was(tuned, searched_again, tmp_path):
+    result, front = tuned[0], tuning.pareto_front(tuned[0], [30.0, 10.0])
+    assert searched_again[0] == [
+        (AXIS.controller, limit, result.setup.space, result.objective, SearchOptions(starts=1, max_steps=3))
+        for limit in (10.0, 30.0)
+    ]
+    assert front.status.ok
+    assert [point.rms for point in front.points] == pytest.approx([result.held_out.rms_after] * 2)
+    experiments.report(front, tmp_path)
+    told = json.loads((tmp_path / "pareto.json").read_text())
+    assert (told["schema"], [point["noise_limit_N"] for point in told["points"]]) == ("pareto/1", [10.0, 30.0])
+
+
+def test_a_pareto_front_says_what_it_has_not(tuned, searched_again):
+    found, search = searched_again[1], tuned[0].search
+    constraints = {**search.point.constraints, "phase margin": np.array([0.2])}
+    found[0] = dataclasses.replace(search, point=search.point._replace(constraints=constraints))
+    missed = tuning.pareto_front(tuned[0], [10.0])
+    assert (missed.status.code, missed.notes) == ("not_accepted", ("10 N: phase margin is missed by 20 %",))
+    state = dataclasses.replace(search.best.state, status="interrupted after 1 steps")
+    found[0] = dataclasses.replace(search, best=dataclasses.replace(search.best, state=state))
+    stopped = tuning.pareto_front(tuned[0], [10.0, 20.0])
+    assert (stopped.status.code, stopped.points) == ("interrupted", ())
+    with pytest.raises(ResultError, match="interrupted after 0 of 2 limits"):
+        tuning.pareto_front(tuned[0], [10.0, 20.0], throw=True)
+
+
+@pytest.mark.parametrize(("limits", "says"), [([5.0, -1.0], "noise_limits: must be above 0 N, got -1"), ([], "one")])
+def test_limits_of_a_pareto_front_are_above_zero(tuned, limits, says):
+    with pytest.raises(ParameterError, match=says):
+        tuning.pareto_front(tuned[0], limits)
 
 
 def test_a_sweep_goes_on_where_it_was_and_counts_as_by_hand(tmp_path):

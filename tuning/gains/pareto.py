@@ -1,16 +1,21 @@
 """Tracking error against command noise: what quietness costs."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from diffdrive.errors import ParameterError
+from diffdrive.results import Result, Status
+from diffdrive.support.bounds import require_number
 from tuning.gains.plan import run_scenario
 from tuning.gains.requirements import Constraints
 from tuning.gains.result import TuningResult
-from tuning.gains.tune import default_space
+from tuning.gains.tune import GainSearch
 from tuning.gains.tune import tune as search_gains
-from tuning.progress import Progress, reporting
+from tuning.optimisation.least_squares import StepProgress
+from tuning.progress import Progress, reporting, searching
 
 
 class ParetoPoint(NamedTuple):
@@ -23,39 +28,112 @@ class ParetoPoint(NamedTuple):
     rms: float  # m, mean tracking error over them
 
 
+@dataclass(frozen=True, repr=False, eq=False)
+class ParetoFront(Result):
+    """What each limit of the command noise costs: a point for each, the lowest first.
+
+    `notes` name the limits under which a requirement is not kept or a held-out run is not ok. The status is ok where
+    every limit was searched to its end, and the gains of one at least keep all requirements in runs that are ok.
+    """
+
+    points: tuple[ParetoPoint, ...]
+    status: Status
+    notes: tuple[str, ...]
+
+    schema: ClassVar[str] = "pareto/1"
+
+    def headline(self) -> str:
+        verdict = "Pareto front" if self.status.ok else f"NOT OK: {self.status.message}"
+        kept = [point for point in self.points if point.feasible]
+        ends = (f"{1e6 * point.rms:.3g} µm RMS within {point.noise_limit:.3g} N" for point in kept[:1] + kept[1:][-1:])
+        return "; held out ".join((verdict, *ends))
+
+    def summary(self) -> str:
+        rows = [f"{'limit N':>10}{'noise N':>10}{'RMS µm':>10}"]
+        rows += [
+            f"{point.noise_limit:>10.4g}{point.command_noise:>10.3g}{1e6 * point.rms:>10.3g}" for point in self.points
+        ]
+        return "\n".join([self.headline(), *rows, *(f"- {note}" for note in self.notes)])
+
+    def as_dict(self) -> dict[str, object]:
+        return {
+            "points": [
+                {
+                    "noise_limit_N": point.noise_limit, "objective": point.objective, "feasible": point.feasible,
+                    "command_noise_N": point.command_noise, "rms_m": point.rms,
+                }
+                for point in self.points
+            ],
+            "notes": list(self.notes),
+        }  # fmt: skip
+
+
 def pareto_front(
-    result: TuningResult, noise_limits: Sequence[float], *, progress: Progress | None = None
-) -> list[ParetoPoint]:
+    result: TuningResult, noise_limits: Sequence[float], *, progress: Progress | None = None, throw: bool = False
+) -> ParetoFront:
     """Tune a result's axis again under each limit of the command noise (N), and judge the gains held out.
 
     Args:
-        result: Of `tune`: its requirements, scenarios and objective are kept.
+        result: Of `tune`: its scenarios, other requirements, objective, free gains and search options are kept.
         noise_limits: Limits of the RMS command noise (N), each above 0.
         progress: Called with (stage, done, of how many).
+        throw: Raise an error where the front is not ok.
 
-    Returns:
-        A point for each limit, the lowest first.
+    Raises:
+        ParameterError: There is no limit, or one is not above 0.
+        ResultError: The front is not ok, with `throw`.
 
     Examples:
         >>> front = pareto_front(tune(axis), [5.0, 10.0, 20.0])
-        >>> [(point.command_noise, point.rms) for point in front]
+        >>> [(point.command_noise, point.rms) for point in front.points]
 
     """
-    axis, setup, settle = result.initial_axis, result.setup, result.plan.settle
-    space, front = default_space(axis.controller), []
+    if not len(noise_limits):
+        raise ParameterError("noise_limits: give one at least")
+    for limit in noise_limits:
+        require_number("noise_limits", limit, "N", above=0.0)
+    points: list[ParetoPoint] = []
+    notes: list[str] = []
+    status = Status(False, "no gains keep every requirement under any of the limits", code="not_accepted")
     with reporting(progress) as tell:
-        for k, noise in enumerate(sorted(noise_limits)):
-            tell("Pareto front", k, len(noise_limits))
-            limits = setup.constraints.limits._replace(command_noise=noise)
-            limited = Constraints(limits, setup.constraints.points, setup.lanes.sampling)
-            found = search_gains(axis.controller, setup.lanes, limited, space, objective=result.objective)
-            runs = [run_scenario(found.controller, scenario, axis.sampling, settle) for scenario in setup.held_out]
-            front.append(
-                ParetoPoint(
-                    float(noise), float(found.point.objective), bool(found.feasible),
-                    float(np.mean([run.command_noise for run in runs])),
-                    float(np.mean([run.rms for run in runs])),
-                )
-            )  # fmt: skip
-        tell("Pareto front", len(noise_limits), len(noise_limits))
-    return front
+        for k, limit in enumerate(sorted(noise_limits)):
+            with searching(tell, f"tuning within {limit:g} N of command noise") as step:
+                found = _tuned_under(result, limit, step)
+            if found.interrupted:
+                status = Status(False, f"interrupted after {k} of {len(noise_limits)} limits", code="interrupted")
+                break
+            point, problems = _judged(result, limit, found)
+            points.append(point)
+            notes += [f"{limit:g} N: {problem}" for problem in problems]
+            if not problems:
+                status = Status(True)
+    front = ParetoFront(tuple(points), status, tuple(notes))
+    return front.require_ok() if throw else front
+
+
+def _tuned_under(result: TuningResult, limit: float, progress: StepProgress) -> GainSearch:
+    """The axis as it was given, tuned as before but for this limit of the command noise (N)."""
+    setup = result.setup
+    limits = setup.constraints.limits._replace(command_noise=limit)
+    constraints = Constraints(limits, setup.constraints.points, setup.constraints.sampling)
+    return search_gains(
+        result.initial_axis.controller, setup.lanes, constraints, setup.space, objective=result.objective,
+        options=result.options, progress=progress,
+    )  # fmt: skip
+
+
+def _judged(result: TuningResult, limit: float, found: GainSearch) -> tuple[ParetoPoint, list[str]]:
+    """What these gains do held out, and what speaks against them."""
+    sampling, settle = result.initial_axis.sampling, result.plan.settle
+    runs = [run_scenario(found.controller, scenario, sampling, settle) for scenario in result.setup.held_out]
+    problems = [f"{name} is missed by {100.0 * share:.3g} %" for name, share in found.violated.items()]
+    problems += [
+        f"{scenario.name}: {judged.run.status.message}"
+        for scenario, judged in zip(result.setup.held_out, runs, strict=True)
+        if not judged.run.status.ok
+    ]
+    point = ParetoPoint(
+        float(limit), float(found.point.objective), found.feasible,
+        float(np.mean([run.command_noise for run in runs])), float(np.mean([run.rms for run in runs])),
+    )  # fmt: skip
+    return point, problems

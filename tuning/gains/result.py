@@ -11,7 +11,7 @@ from diffdrive.results import Result, Status
 from tuning.gains.objective import Objective
 from tuning.gains.plan import TuningPlan
 from tuning.gains.setup import TuningSetup
-from tuning.gains.tune import GainSearch
+from tuning.gains.tune import GainSearch, SearchOptions
 from tuning.gains.verification import (
     ControllerMargins,
     ErrorComparison,
@@ -35,7 +35,7 @@ class TuningResult(Result):
     `tuned_on` and `held_out` compare them with the gains as given on the exact simulator, the latter in scenarios
     (loads, speeds, a machine, noise) that were not tuned on; `margins` are the worst that remain. `gains` are (before,
     after) by name. `search` has the search, `runs` every run, `loop_margins` the margins at every operating point
-    before and after; `initial_axis` is the axis before, `plan`, `setup` and `objective` say how it was tuned.
+    before and after; `initial_axis` is the axis before; `plan`, `setup`, `objective`, `options` say how it was tuned.
     """
 
     axis: Axis
@@ -51,6 +51,7 @@ class TuningResult(Result):
     plan: TuningPlan
     setup: TuningSetup
     objective: Objective
+    options: SearchOptions
     status: Status
 
     schema: ClassVar[str] = "tuning/2"
@@ -109,6 +110,7 @@ def tuning_result(
     plan: TuningPlan,
     prepared: TuningSetup,
     objective: Objective,
+    options: SearchOptions,
     tuned: GainSearch,
     margins: Sequence[ControllerMargins],
     runs: Sequence[ScenarioComparison],
@@ -139,6 +141,7 @@ def tuning_result(
         plan=plan,
         setup=prepared,
         objective=objective,
+        options=options,
         status=Status(accepted, message, code=code),
     )
 

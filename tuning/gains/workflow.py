@@ -89,5 +89,5 @@ def tune(
         margins = margins_at(axis, [axis.controller, tuned.controller], plan)
         runs = verify(axis, tuned.controller, prepared, plan.settle)
         tell("verifying on the exact simulator", 1, 1)
-    result = tuning_result(axis, plan, prepared, objective, tuned, margins, runs)
+    result = tuning_result(axis, plan, prepared, objective, options, tuned, margins, runs)
     return result.require_ok() if throw else result
