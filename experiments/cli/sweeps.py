@@ -24,8 +24,9 @@ def sweep(
         typer.Option(
             help="What varies: `plant.mass=lognormal:3%`, `load=uniform:0..12 kN`, "
             "`effects.cogging.cosine=normal:2 N`; uniform, loguniform, triangular, normal, lognormal, fixed; "
-            "repeatable. A load may change over time: load.change, load.from, load.to. Settings of --motion and --load "
-            "may vary from machine to machine, too: `motion.speed=uniform:5..20 mm/s`, `load.workpiece=...`.",
+            "repeatable. A load may change over time: load.change, load.change.begin, load.change.end. Settings "
+            "of --motion and --load may vary from machine to machine, too: "
+            "`motion.speed=uniform:5..20 mm/s`, `load.workpiece=...`.",
         ),
     ] = None,
     spread: Annotated[

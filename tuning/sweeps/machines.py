@@ -49,7 +49,7 @@ def machines(
     names = {quantity.name.split(".")[1] for quantity in varied if quantity.name.startswith("effects.")}
     machine = as_arrays(with_effects(drive, names))
     values: Values = {}
-    ends: dict[str, float | Float[np.ndarray, " n"]] = {**dict.fromkeys(LOAD, 0.0), "load.to": 1.0}
+    ends: dict[str, float | Float[np.ndarray, " n"]] = {**dict.fromkeys(LOAD, 0.0), "load.change.end": 1.0}
     for k, quantity in enumerate(varied):
         drawn = quantity.quantile(shares[:, k])
         if quantity.name in LOAD:

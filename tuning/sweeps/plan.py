@@ -96,8 +96,8 @@ class SweepPlan:
         plan = cls(axis, controllers, motions, varied, samples, **more)
         if samples < 1:
             raise ParameterError(f"sweep: at least one machine is needed, got {samples}")
-        if set(names) & {"load.from", "load.to"} and "load.change" not in names:
-            raise ParameterError("vary load.from, load.to: are times of load.change, which does not vary: give it, too")
+        if set(names) & {"load.change.begin", "load.change.end"} and "load.change" not in names:
+            raise ParameterError("vary load.change.begin, load.change.end: load.change does not vary: give it, too")
         for name, motion in motions.items():
             if not plan._varies("motion"):  # else none of the machines may run that one
                 require_within(motion, axis.limits)

@@ -35,7 +35,9 @@ def require_buildable(numbers: Numbers, make: Callable[[Numbers], Made]) -> Made
 def require_ordered(ramp: Ramp) -> None:
     """Raises `ParameterError` where a load's change ends before it begins."""
     if np.any((ramp.begin > ramp.end) & (ramp.change != 0.0)):
-        raise ParameterError("its load.from comes after its load.to: let them vary in ranges that do not overlap")
+        raise ParameterError(
+            "its load.change.begin comes after its load.change.end: let them vary in ranges that do not overlap"
+        )
 
 
 def require_on_guides(

@@ -18,7 +18,7 @@ from diffdrive.model.quantity import quantities
 from diffdrive.motion.text import number, numbers
 
 # Beside what the drive file holds: a load that changes linearly between two times, and is constant outside.
-LOAD = {"load": "N", "load.change": "N", "load.from": "s", "load.to": "s"}
+LOAD = {"load": "N", "load.change": "N", "load.change.begin": "s", "load.change.end": "s"}
 # Numbers in percent are offsets from the drive file's value, and need a sign but for a range's last: -5%..+5%.
 KINDS = {
     "uniform": "LOW..HIGH, every value alike",

@@ -152,9 +152,9 @@ def test_what_no_quantity_drives_is_said(drives, tmp_path):
         "--vary",
         "load.change=uniform:0..10 kN",
         "--vary",
-        "load.from=uniform:9..10 s",
+        "load.change.begin=uniform:9..10 s",
         "--vary",
-        "load.to=fixed:11 s",
+        "load.change.end=fixed:11 s",
     )
     result = run("sweep", drives / "axis.toml", *late, "--motion", MOTION, "--samples", 128, "--settle", 0.02)
     assert result.exit_code == 0, result.output
@@ -233,13 +233,13 @@ def test_what_decides_over_divergence_is_said(drives, tmp_path):
                 "--vary",
                 "load.change=fixed:1 kN",
                 "--vary",
-                "load.from=uniform:0..0.05 s",
+                "load.change.begin=uniform:0..0.05 s",
                 "--vary",
-                "load.to=uniform:0.02..0.07 s",
+                "load.change.end=uniform:0.02..0.07 s",
                 "--out",
                 "x",
             ),
-            "cannot be: its load.from comes after its load.to",
+            "cannot be: its load.change.begin comes after its load.change.end",
         ),
         (("--samples", "0"), "--samples"),
         (("--tolerance", "2"), "give it with its unit"),

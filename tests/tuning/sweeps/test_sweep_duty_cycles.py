@@ -134,12 +134,26 @@ def test_what_no_machine_runs_refuses_none():
 
 def test_loads_are_added_when_each_acts():
     """A cut that takes away what was laid on before it."""
-    later = ("load.change=fixed:-19 kN", "load.from=fixed:0.03 s", "load.to=fixed:0.04 s")
+    later = ("load.change=fixed:-19 kN", "load.change.begin=fixed:0.03 s", "load.change.end=fixed:0.04 s")
     plan(later, 8, load="ramp:start=0.01,end=0.02,to=20kN").require_possible([0])
     with pytest.raises(DiffdriveError, match=r"machine 0 cannot be: a load of -\d+ N lifts the table"):
         plan(later, 8, load="ramp:start=0.045,end=0.05,to=20kN").require_possible([0])
-    with pytest.raises(ParameterError, match=r"are times of load.change, which does not vary"):
-        plan(("load.to=uniform:5000..10000",), 8, load="step:at=0.01s,to=10kN")
+    with pytest.raises(ParameterError, match=r"load.change does not vary: give it, too"):
+        plan(("load.change.end=fixed:0.04 s",), 8, load="step:at=0.01s,to=10kN")
+
+
+def test_every_setting_of_the_load_over_time_has_its_own_name():
+    """Also beside a load that changes: no name is a force here and a time there."""
+    vary = ("load.to=uniform:5..10 kN", "load.at=uniform:0.01..0.03 s", "load.change=fixed:1 kN",
+            "load.change.end=fixed:0.02 s")  # fmt: skip
+    planned, numbers = plan(vary, 8, load="step:at=0.01s,to=9kN"), np.arange(8)
+    values = planned.values(numbers, SINE)
+    for k, (motion, load) in enumerate(planned.machine_cycles(numbers, SINE)):
+        assert load.max() == values["load.to"][k] > 5e3
+        assert motion.time[np.argmax(load)] == pytest.approx(values["load.at"][k], abs=1e-4)
+    _, ramps, _, _ = planned.machines(numbers)
+    assert np.all(np.asarray(ramps.change) == 1e3)
+    assert np.all(np.asarray(ramps.end) == 0.02)
 
 
 @pytest.mark.parametrize(

@@ -181,7 +181,7 @@ GAP = ("friction.coulomb_screw=uniform:20..60", "friction.breakaway_gap=uniform:
         (("plant.mass=uniform:-40..90 kg",), r"plant\.mass must be above 0 kg, got -\d"),
         (("load=uniform:-20..0 kN",), "lifts the table off its guides"),
         (
-            ("load=uniform:-10..0 kN", "load.change=uniform:-10..0 kN", "load.to=fixed:0.04 s"),
+            ("load=uniform:-10..0 kN", "load.change=uniform:-10..0 kN", "load.change.end=fixed:0.04 s"),
             "lifts the table off its guides",
         ),
         (GAP, "makes the breakaway friction"),  # each of them alone is possible
