@@ -46,7 +46,10 @@ class StabilityMargins(eqx.Module):
 
 
 class LinearLoop(eqx.Module):
-    """The loop of an axis about a steady motion, opened where the amplifier's force reaches the table."""
+    """The loop of an axis about a steady motion, opened where the amplifier's force reaches the table.
+
+    One from `jax.vmap` is a loop for each lane, and so are its margins and its response.
+    """
 
     open_loop: loop.OpenLoop  # x' = a x + b force, requested = c x, per control period
     velocity: Scalar  # m/s
@@ -54,11 +57,13 @@ class LinearLoop(eqx.Module):
 
     def margins(self) -> StabilityMargins:
         """Gain and phase margins and peak sensitivity; differentiable once."""
+        if self._has_lanes:
+            return jax.vmap(LinearLoop.margins)(self)
         found = _margins(self.open_loop)
         up, down = (20.0 * jnp.log10(gain) for gain in (found.gain_up, found.gain_down))
         return StabilityMargins(up, down, jnp.degrees(found.phase), found.sensitivity, found.crossover, found.growth)
 
-    def response(self, frequencies: Float[Array, " f"] | Float[np.ndarray, " f"]) -> Complex[Array, " f"]:
+    def response(self, frequencies: Float[Array, " f"] | Float[np.ndarray, " f"]) -> Complex[Array, "*lanes f"]:
         """The open loop L at `frequencies` (Hz, up to half the control rate): requested force over force on the table.
 
         Negative feedback is understood: the closed loop is unstable where L reaches -1. L is a ratio of forces, so it
@@ -77,10 +82,16 @@ class LinearLoop(eqx.Module):
             if bool(jnp.any(outside)):
                 bad = float(frequencies[jnp.argmax(outside)])
                 raise ParameterError(f"frequencies: {bad:g} Hz is not above 0 and up to {highest:g} Hz, half the rate")
+        if self._has_lanes:
+            return jax.vmap(lambda loop: loop.response(frequencies))(self)
         return _response(self.open_loop, frequencies).loop
 
+    @property
+    def _has_lanes(self) -> bool:
+        return self.open_loop.b.ndim > 1
+
     def __repr__(self) -> str:
-        return f"LinearLoop of {len(self.open_loop.b)} states at {self.velocity} m/s under {self.load} N"
+        return f"LinearLoop of {self.open_loop.b.shape[-1]} states at {self.velocity} m/s under {self.load} N"
 
 
 def linearise(axis: Axis, *, velocity: Scalar, load: Scalar = 0.0, machine: Axis | None = None) -> LinearLoop:

@@ -60,42 +60,45 @@ def simulate(
 
 
 class Rollout(eqx.Module):
-    """The signals of a roll-out, [n] each; estimates are None where the controller makes none."""
+    """The signals of a roll-out, [n] each; estimates are None where the controller makes none.
 
-    reference: Float[Array, " n"]  # m
-    load: Float[Array, " n"]  # N
-    measured: Float[Array, " n"]  # m, position as the scale reports it
-    table_position: Float[Array, " n"]  # m, true
-    velocity: Float[Array, " n"]  # m/s, true
-    command: Float[Array, " n"]  # N, before the actuator
-    force: Float[Array, " n"]  # N, after it
-    friction: Float[Array, " n"]  # N
-    friction_estimate: Float[Array, " n"] | None  # N
-    load_estimate: Float[Array, " n"] | None  # N
+    Under `jax.vmap` lanes come first, and an error is a number for each.
+    """
+
+    reference: Float[Array, "*lanes n"]  # m
+    load: Float[Array, "*lanes n"]  # N
+    measured: Float[Array, "*lanes n"]  # m, position as the scale reports it
+    table_position: Float[Array, "*lanes n"]  # m, true
+    velocity: Float[Array, "*lanes n"]  # m/s, true
+    command: Float[Array, "*lanes n"]  # N, before the actuator
+    force: Float[Array, "*lanes n"]  # N, after it
+    friction: Float[Array, "*lanes n"]  # N
+    friction_estimate: Float[Array, "*lanes n"] | None  # N
+    load_estimate: Float[Array, "*lanes n"] | None  # N
     rate: float = eqx.field(static=True)
 
     @property
-    def error(self) -> Float[Array, " n"]:
+    def error(self) -> Float[Array, "*lanes n"]:
         """Tracking error of the table, reference minus true position (m)."""
         return self.reference - self.table_position
 
     def between(self, start: float, end: float) -> slice:
         """The samples in [start, end] (s), none of them traced; raises `ParameterError` if there is none."""
-        return window(np.arange(len(self.reference)) / self.rate, start, end)
+        return window(np.arange(self.reference.shape[-1]) / self.rate, start, end)
 
-    def rms_error(self, start: float = -np.inf, end: float = np.inf) -> Scalar:
+    def rms_error(self, start: float = -np.inf, end: float = np.inf) -> Float[Array, "*lanes"]:
         """Root mean square tracking error (m) between `start` and `end` (s); its gradient is never NaN.
 
         Raises `ParameterError` where no sample is.
         """
-        return rms(self.error[self.between(start, end)])
+        return rms(self.error[..., self.between(start, end)])
 
-    def peak_error(self, start: float = -np.inf, end: float = np.inf) -> Scalar:
+    def peak_error(self, start: float = -np.inf, end: float = np.inf) -> Float[Array, "*lanes"]:
         """Largest tracking error (m) between `start` and `end` (s); its gradient is that of the worst sample.
 
         Raises `ParameterError` where no sample is.
         """
-        return jnp.max(jnp.abs(self.error[self.between(start, end)]))
+        return jnp.max(jnp.abs(self.error[..., self.between(start, end)]), axis=-1)
 
 
 def rollout(

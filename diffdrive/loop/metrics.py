@@ -22,11 +22,11 @@ def safe_sqrt(value: Scalar) -> Scalar:
     return jnp.where(above, jnp.sqrt(jnp.where(above, value, 1.0)), 0.0 * value)
 
 
-def rms(signal: Float[Array, " n"]) -> Scalar:
-    """Root mean square; where the signal is zero throughout, its gradient is zero, not NaN."""
-    return safe_sqrt(jnp.mean(signal**2))
+def rms(signal: Float[Array, "*lanes n"]) -> Float[Array, "*lanes"]:
+    """Root mean square over time; where the signal is zero throughout, its gradient is zero, not NaN."""
+    return safe_sqrt(jnp.mean(signal**2, axis=-1))
 
 
-def command_noise(command: Float[Array, " n"] | Float[np.ndarray, " n"]) -> Scalar:
+def command_noise(command: Float[Array, "*lanes n"] | Float[np.ndarray, "*lanes n"]) -> Float[Array, "*lanes"]:
     """RMS of the sample-to-sample change over sqrt 2: the standard deviation of a white command noise, N."""
     return rms(jnp.diff(command)) / jnp.sqrt(2.0)

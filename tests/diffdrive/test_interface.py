@@ -88,6 +88,15 @@ def test_a_roll_out_is_the_simulation():
                 one.peak_error(*window)
 
 
+def test_lanes_of_a_roll_out_are_not_pooled():
+    error = jnp.concatenate([jnp.full((3, 1), 7.0), jnp.outer(jnp.array([1.0, 2.0, 3.0]), jnp.ones(199))], axis=1)
+    lanes = dd.Rollout(error, *(0.0 * error for _ in range(7)), None, None, AXIS.rate)
+    assert lanes.between(0.01, 0.0105) == slice(100, 106)
+    np.testing.assert_array_equal(lanes.rms_error(0.001), [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(lanes.peak_error(0.001), [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(lanes.peak_error(), [7.0, 7.0, 7.0])
+
+
 BARE_PD = AXIS.with_controller(dd.controllers.PD(dd.controllers.Tracking(AXIS.controller.tracking.gains)))
 AXES = {kind: dd.paper_axis(controller=kind) for kind in KINDS} | {"pd without feed-forward": BARE_PD}
 

@@ -9,7 +9,7 @@ import pytest
 
 import diffdrive as dd
 from diffdrive.errors import ParameterError
-from diffdrive.loop.linearise import OperatingPoint, open_loop, response
+from diffdrive.loop.linearise import OpenLoop, OperatingPoint, open_loop, response
 from diffdrive.loop.margins import margins
 from diffdrive.numerics.arrays import as_arrays
 
@@ -62,6 +62,21 @@ def test_lanes_and_gradients_go_through():
     step = 1e-4 * kd
     difference = (phase_margin(kd + step, 0.010) - phase_margin(kd - step, 0.010)) / (2.0 * step)
     assert float(jax.grad(phase_margin)(kd, 0.010)) == pytest.approx(float(difference), rel=1e-4)
+
+
+def test_a_loop_of_each_lane_has_its_own_margins_and_response():
+    one = OpenLoop(jnp.array([[0.9, 0.01], [0.0, 0.8]]), jnp.array([0.0, 0.02]), jnp.array([-60.0, -5.0]), 1e-3)
+    many = jax.vmap(lambda gain: dd.LinearLoop(dataclasses.replace(one, c=gain * one.c), 0.010, 0.0))(
+        jnp.ones(3).at[1].set(0.5)
+    )
+    frequencies = jnp.array([1.0, 30.0, 200.0])
+    found, alone = many.margins(), dd.LinearLoop(one, 0.010, 0.0).margins()
+    assert found.gain_margin_up == pytest.approx(
+        alone.gain_margin_up + np.array([0.0, 20.0 * np.log10(2.0), 0.0]), rel=1e-6
+    )
+    theirs = response(one, frequencies).loop
+    np.testing.assert_allclose(many.response(frequencies), [theirs, 0.5 * theirs, theirs], rtol=1e-12)
+    assert repr(many).startswith("LinearLoop of 2 states")
 
 
 def test_a_machine_of_its_own_is_in_the_loop():
