@@ -108,7 +108,8 @@ class Axis(eqx.Module):
     def with_effects(self, *effects: Effect) -> "Axis":
         """The axis with these unmodelled effects beside those that it has; an effect replaces one of its name.
 
-        They are no part of its controller's model. Raises `ParameterError` for one that is not registered.
+        They are no part of its controller's model. Raises `ParameterError` for one that is not registered, and for two
+        that no machine has beside each other, such as two screws.
         """
         names = {effect.name for effect in in_order(effects)}
         remaining = [effect for effect in self.drive.effects if effect.name not in names]

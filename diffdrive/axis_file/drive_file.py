@@ -23,7 +23,6 @@ from diffdrive.controllers.kinds import Parameters
 from diffdrive.effects.base import Effect
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.feasibility import limits_envelope, require_feasible
-from diffdrive.effects.transmission import Transmission
 from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs.mapping import mapping_tables, parse_mapping
 from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, Sensor, check_drive
@@ -171,11 +170,6 @@ def _effects(section: TomlSection) -> tuple[Effect, ...]:
             effects.append(subsection.build(effect))
             subsection.done()
     section.done()
-    transmissions = [effect.name for effect in effects if isinstance(effect, Transmission)]
-    if len(transmissions) > 1:
-        raise section.fail(
-            transmissions[0], f"a machine has one screw: [effects.{transmissions[1]}] is one, too; keep either"
-        )
     return tuple(effects)
 
 

@@ -6,51 +6,43 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import PyTree
 
-from diffdrive.effects.base import ActuatorEffect, Push, Stage
+from diffdrive.effects.base import ActuatorEffect, Push, Stage, StaticActuatorEffect
 from diffdrive.model.quantity import quantity
 from diffdrive.numerics.arrays import Scalar
 
 LONGEST_DELAY = 8  # control periods
 
 
-class ForceGain(ActuatorEffect):
+class ForceGain(StaticActuatorEffect):
     """Another force constant than the drive file's."""
 
     name: ClassVar[str] = "force_gain"
     stage: ClassVar[Stage] = Stage.SCALED
     gain: Scalar = quantity("1", "force over the nominal force, minus one", above=-1.0, default=0.0)
 
-    def init(self, force: Scalar) -> PyTree:
-        """No state."""
-        return ()
-
     def input_limit(self, output_limit: Scalar | None) -> Scalar | None:
         """The limit before the gain."""
         return None if output_limit is None else output_limit / jnp.abs(1.0 + self.gain)
 
-    def step(self, state: PyTree, force: Scalar, period: float) -> tuple[PyTree, Push]:
+    def output(self, force: Scalar) -> Scalar:
         """The force scaled."""
-        return state, Push((1.0 + self.gain) * force)
+        return (1.0 + self.gain) * force
 
 
-class ForceLimit(ActuatorEffect):
+class ForceLimit(StaticActuatorEffect):
     """Saturation of the amplifier below what the drive file says."""
 
     name: ClassVar[str] = "force_limit"
     stage: ClassVar[Stage] = Stage.LIMITED
     limit: Scalar = quantity("N", "largest force in either direction", above=0.0, default=float("inf"))
 
-    def init(self, force: Scalar) -> PyTree:
-        """No state."""
-        return ()
-
     def input_limit(self, output_limit: Scalar | None) -> Scalar | None:
         """Its own limit, or one behind it that is smaller."""
         return self.limit if output_limit is None else jnp.minimum(self.limit, output_limit)
 
-    def step(self, state: PyTree, force: Scalar, period: float) -> tuple[PyTree, Push]:
+    def output(self, force: Scalar) -> Scalar:
         """The force clipped."""
-        return state, Push(jnp.clip(force, -self.limit, self.limit))
+        return jnp.clip(force, -self.limit, self.limit)
 
 
 class ActuatorLag(ActuatorEffect):

@@ -19,7 +19,7 @@ from diffdrive.numerics.arrays import Scalar
 
 
 class Seen(NamedTuple):
-    """The table at the beginning of a control period, as an effect sees it."""
+    """The table as an effect sees it, at the beginning of a control period where nothing else is said."""
 
     time: Scalar  # s, since the start of the motion
     position: Scalar  # m
@@ -33,6 +33,10 @@ class Seen(NamedTuple):
         None  # [parts] N, difference of the force from its mean in equal parts of the period; None: zero
     )
     disturbance: Scalar = 0.0  # N, disturbance force that a filter estimates
+
+    def at_midpoint(self, period: float) -> "Seen":
+        """The same, with the time and the position of the middle of the coming period (s)."""
+        return self._replace(time=self.time + 0.5 * period, position=self.position + 0.5 * period * self.velocity)
 
     def external_force(self, drive: Drive) -> Scalar:
         """The known forces on the table beside the actuator's and friction (N)."""
@@ -80,10 +84,14 @@ class Envelope(NamedTuple):
 
 
 class Effect(eqx.Module):
-    """One unmodelled effect: `name` is that of the catalogue, `part` the part of the machine it belongs to."""
+    """One unmodelled effect: `name` is that of the catalogue, `part` the part of the machine it belongs to.
+
+    A drive has each effect once, and of those that are `exclusive` in the same thing, such as the screw, one.
+    """
 
     name: ClassVar[str]
     part: ClassVar[str] = "plant"
+    exclusive: ClassVar[str | None] = None
 
     def problem(self, drive: Drive, envelope: Envelope) -> str | None:
         """Why this effect on `drive` is physically impossible or cannot be computed; None where it is feasible.
@@ -137,6 +145,20 @@ class ActuatorEffect(Effect):
         """The force over the coming period, of length `period` (s), when `force` (N) is requested."""
 
 
+class StaticActuatorEffect(ActuatorEffect):
+    """Between the command and the force, without a state."""
+
+    @abc.abstractmethod
+    def output(self, force: Scalar) -> Scalar:
+        """The force (N) when `force` (N) is requested."""
+
+    def init(self, force: Scalar) -> tuple[()]:
+        return ()
+
+    def step(self, state: tuple[()], force: Scalar, period: float) -> tuple[tuple[()], Push]:
+        return state, Push(self.output(force))
+
+
 class StepOrder(enum.IntEnum):
     """The order in which effects on the table are stepped, by the inputs that they need."""
 
@@ -171,18 +193,33 @@ class TableEffect(Effect):
         return self.step(state, seen, drive, period)[0]
 
 
-class TableForce(TableEffect):
-    """A force on the table without a state: a function of time and of the table's motion."""
+class StaticTableEffect(TableEffect):
+    """On the table and its friction, without a state."""
 
     @abc.abstractmethod
-    def push(self, seen: Seen) -> Scalar:
-        """The force (N) over the coming period."""
+    def acts(self, seen: Seen, drive: Drive, period: float) -> Acts:
+        """The forces over the coming period (s)."""
 
     def init(self) -> tuple[()]:
         return ()
 
     def step(self, state: tuple[()], seen: Seen, drive: Drive, period: float) -> tuple[tuple[()], Acts]:
-        return state, Acts(force=self.push(seen))
+        return state, self.acts(seen, drive, period)
+
+
+class TableForce(StaticTableEffect):
+    """A force on the table without a state: a function of time and of the table's motion."""
+
+    @abc.abstractmethod
+    def push(self, seen: Seen) -> Scalar:
+        """The force (N) over the coming period.
+
+        `seen` has the time and the position of the period's midpoint, so that a force that depends on them is of second
+        order in the period; its velocity is that at the beginning.
+        """
+
+    def acts(self, seen: Seen, drive: Drive, period: float) -> Acts:
+        return Acts(force=self.push(seen.at_midpoint(period)))
 
 
 class ScaleEffect(Effect):

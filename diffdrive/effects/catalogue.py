@@ -12,6 +12,7 @@ from diffdrive.effects.machine import FrictionAsymmetry, FrictionShape, PayloadM
 from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import ParameterError
+from diffdrive.model.parameters import require_compatible
 from diffdrive.support.messages import short_repr
 from diffdrive.support.registry import Registry
 
@@ -91,7 +92,10 @@ def effects_by_part() -> dict[str, tuple[type[Effect], ...]]:
 
 
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Effects in the catalogue's order: drive files know no other. Raises `ParameterError` for one not in it."""
+    """Effects in the catalogue's order: drive files know no other.
+
+    Raises `ParameterError` for one not in it, and for those that no machine has beside each other.
+    """
     effects, names = tuple(effects), list(EFFECTS)
     for effect in effects:
         if not isinstance(effect, Effect):
@@ -103,4 +107,5 @@ def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
                 f"effects: the catalogue has no {type(effect).__name__}: register its class, by "
                 "@diffdrive.effects.register"
             )
+    require_compatible(effects)
     return tuple(sorted(effects, key=lambda effect: names.index(effect.name)))

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect
+from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect, TableForce
 from diffdrive.effects.oscillator import Oscillator, discretise
 from diffdrive.model.friction import friction_under_load, midpoint_friction
 from diffdrive.model.parameters import Drive
@@ -15,11 +15,6 @@ from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.trigonometry import MAX_TURNS, cosine_sine, double_angle, triple_angle
 
 EDGE_TIME = 5e-3  # s, rise and fall time of a process force
-
-
-def midpoint_position(seen: Seen, period: float) -> Scalar:
-    """The table's position in the middle of the coming period (m)."""
-    return seen.position + 0.5 * period * seen.velocity
 
 
 def end_velocity(seen: Seen, drive: Drive, period: float) -> Scalar:
@@ -57,22 +52,18 @@ def too_many_turns(turns: Scalar | np.ndarray, noun: str) -> str | None:
     return f"{noun} is {largest:.3g} of its waves, of which {MAX_TURNS:g} can be resolved: check its units"
 
 
-class ConstantForce(TableEffect):
+class ConstantForce(TableForce):
     """Tilt, counterbalance or amplifier offset."""
 
     name: ClassVar[str] = "constant_force"
     force: Scalar = quantity("N", "constant force on the table", default=0.0)
 
-    def init(self) -> PyTree:
-        """No state."""
-        return ()
-
-    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
+    def push(self, seen: Seen) -> Scalar:
         """The force."""
-        return state, Acts(force=self.force)
+        return self.force
 
 
-class PositionSpring(TableEffect):
+class PositionSpring(TableForce):
     """A cable chain or bellows: a force linear in position."""
 
     name: ClassVar[str] = "position_spring"
@@ -83,16 +74,12 @@ class PositionSpring(TableEffect):
         """A spring that swings faster than the control samples."""
         return too_stiff(self.stiffness, drive, envelope)
 
-    def init(self) -> PyTree:
-        """No state."""
-        return ()
-
-    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
+    def push(self, seen: Seen) -> Scalar:
         """The spring's force."""
-        return state, Acts(force=-self.stiffness * (midpoint_position(seen, period) - self.neutral))
+        return -self.stiffness * (seen.position - self.neutral)
 
 
-class Cogging(TableEffect):
+class Cogging(TableForce):
     """Force ripple periodic in position: first, second and sixth harmonic of `period`."""
 
     name: ClassVar[str] = "cogging"
@@ -119,20 +106,16 @@ class Cogging(TableEffect):
             2.0 * np.pi * height / np.asarray(self.period), drive, envelope
         )
 
-    def init(self) -> PyTree:
-        """No state."""
-        return ()
-
-    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
+    def push(self, seen: Seen) -> Scalar:
         """The ripple's force."""
-        first = cosine_sine(2.0 * jnp.pi * midpoint_position(seen, period) / self.period)
+        first = cosine_sine(2.0 * jnp.pi * seen.position / self.period)
         second = double_angle(*first)
         sixth = triple_angle(*second)
         force = self.cosine * first[0] + self.sine * first[1] + self.cosine2 * second[0] + self.sine2 * second[1]
-        return state, Acts(force=force + self.cosine6 * sixth[0] + self.sine6 * sixth[1])
+        return force + self.cosine6 * sixth[0] + self.sine6 * sixth[1]
 
 
-class ProcessForce(TableEffect):
+class ProcessForce(TableForce):
     """A cutting force: a mean, a vibration and its second harmonic, from `start` to `end`."""
 
     name: ClassVar[str] = "process_force"
@@ -158,18 +141,13 @@ class ProcessForce(TableEffect):
         turns = np.asarray(self.frequency) * (envelope.duration or 0.0)
         return too_many_turns(turns, "the motion's duration")
 
-    def init(self) -> PyTree:
-        """No state."""
-        return ()
-
-    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
+    def push(self, seen: Seen) -> Scalar:
         """The force in the middle of the coming period."""
-        time = seen.time + 0.5 * period
-        first = cosine_sine(2.0 * jnp.pi * self.frequency * time)
+        first = cosine_sine(2.0 * jnp.pi * self.frequency * seen.time)
         second = double_angle(*first)
         force = self.mean + self.cosine * first[0] + self.sine * first[1]
         force = force + self.cosine2 * second[0] + self.sine2 * second[1]
-        return state, Acts(force=force * window(time, self.start, self.end))
+        return force * window(seen.time, self.start, self.end)
 
 
 class FrameVibration(TableEffect):

@@ -8,8 +8,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import PyTree
 
-from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect
-from diffdrive.effects.forces import end_velocity, midpoint_position, too_many_turns, window
+from diffdrive.effects.base import Acts, Envelope, Seen, StaticTableEffect, StepOrder, TableEffect
+from diffdrive.effects.forces import end_velocity, too_many_turns, window
 from diffdrive.model.friction import coulomb, deflection_after, friction_under_load, relaxation_map
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import Directional, quantity
@@ -27,7 +27,7 @@ ELEMENTS = 6  # Maxwell elements of presliding hysteresis
 SUBSTEP = 1e-4  # s, of their integration
 
 
-class AppliedLoad(TableEffect):
+class AppliedLoad(StaticTableEffect):
     """A normal load on the guides that the model does not have: constant, and more of it between two times."""
 
     name: ClassVar[str] = "applied_load"
@@ -54,17 +54,13 @@ class AppliedLoad(TableEffect):
             return f"a load of {np.min(least):g} N leaves no Coulomb friction: it must stay above 0"
         return None
 
-    def init(self) -> PyTree:
-        """No state."""
-        return ()
-
-    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
+    def acts(self, seen: Seen, drive: Drive, period: float) -> Acts:
         """Coulomb friction in proportion."""
         load = self.load + self.more * window(seen.time, self.start, self.end, self.edge)
-        return state, Acts(coulomb=drive.friction.load_coefficient.towards(seen.velocity) * load)
+        return Acts(coulomb=drive.friction.load_coefficient.towards(seen.velocity) * load)
 
 
-class PositionFriction(TableEffect):
+class PositionFriction(StaticTableEffect):
     """Coulomb friction that varies along the stroke: a slope, and a wave."""
 
     name: ClassVar[str] = "position_friction"
@@ -98,19 +94,15 @@ class PositionFriction(TableEffect):
             return None
         return f"it takes {-100 * np.min(least):.4g} % of the Coulomb friction off at some place: less than all must go"
 
-    def init(self) -> PyTree:
-        """No state."""
-        return ()
-
-    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
+    def acts(self, seen: Seen, drive: Drive, period: float) -> Acts:
         """The share of the Coulomb friction here."""
-        position = midpoint_position(seen, period)
+        position = seen.at_midpoint(period).position
         cosine, sine = cosine_sine(2.0 * jnp.pi * position / self.period)
         share = self.slope * (position - self.neutral) + self.cosine * cosine + self.sine * sine
-        return state, Acts(coulomb=share * coulomb(drive.friction, seen.velocity, seen.load))
+        return Acts(coulomb=share * coulomb(drive.friction, seen.velocity, seen.load))
 
 
-class ViscousDrift(TableEffect):
+class ViscousDrift(StaticTableEffect):
     """Friction that falls as the machine warms up: viscous, and Coulomb friction along with it."""
 
     name: ClassVar[str] = "viscous_drift"
@@ -126,16 +118,12 @@ class ViscousDrift(TableEffect):
             return f"coulomb = {np.min(self.coulomb):g} leaves no Coulomb friction: it must be above -1"
         return None
 
-    def init(self) -> PyTree:
-        """No state."""
-        return ()
-
-    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
+    def acts(self, seen: Seen, drive: Drive, period: float) -> Acts:
         """The drift that remains."""
         remaining = jnp.exp(-seen.time / self.time_constant)
         viscous_sum = drive.friction.viscous.towards(seen.velocity) + drive.plant.damping.towards(seen.velocity)
         level = coulomb(drive.friction, seen.velocity, seen.load)
-        return state, Acts(viscous=self.viscous * remaining * viscous_sum, coulomb=self.coulomb * remaining * level)
+        return Acts(viscous=self.viscous * remaining * viscous_sum, coulomb=self.coulomb * remaining * level)
 
 
 def _mean_speed(before: Scalar, after: Scalar) -> Scalar:

@@ -5,9 +5,8 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
 
-from diffdrive.effects.base import Acts, Envelope, MachineEffect, Seen, TableEffect
+from diffdrive.effects.base import Acts, Envelope, MachineEffect, Seen, StaticTableEffect
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import Directional, quantity
 from diffdrive.numerics.arrays import Scalar
@@ -36,7 +35,7 @@ class PayloadMass(MachineEffect):
 AS_LOGARITHMS = ("stribeck_velocity", "stribeck_exponent", "breakaway_gap")  # of a friction shape
 
 
-class FrictionShape(MachineEffect, TableEffect):
+class FrictionShape(MachineEffect, StaticTableEffect):
     """Another Stribeck curve: its level, its fall, its width and form, its viscous part, and that curved in speed."""
 
     name: ClassVar[str] = "friction_shape"
@@ -81,13 +80,9 @@ class FrictionShape(MachineEffect, TableEffect):
             ),
         )
 
-    def init(self) -> PyTree:
-        """No state."""
-        return ()
-
-    def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
+    def acts(self, seen: Seen, drive: Drive, period: float) -> Acts:
         """The curved part."""
-        return state, Acts(viscous=self.curvature * jnp.abs(seen.velocity))
+        return Acts(viscous=self.curvature * jnp.abs(seen.velocity))
 
 
 class FrictionAsymmetry(MachineEffect):

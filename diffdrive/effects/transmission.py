@@ -221,6 +221,7 @@ def step_screw_with_sensitivities(
 class Transmission(TableEffect):
     """Between motor and table, where it transmits the motor's force."""
 
+    exclusive: ClassVar[str | None] = "screw"
     order: ClassVar[StepOrder] = StepOrder.TRANSMISSION
 
     @property

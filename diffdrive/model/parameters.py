@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Iterable
 
 import equinox as eqx
 import jax
@@ -154,9 +155,28 @@ class Sampling(eqx.Module):
         return self.substeps or int(np.ceil(round(self.period / LONGEST_SUBSTEP, 6)))
 
 
+def require_compatible(effects: Iterable[PyTree]) -> None:
+    """Raise `ParameterError` where a machine cannot have all of these effects: one twice, or two of one thing."""
+    names: set[str] = set()
+    holders: dict[str, str] = {}
+    for effect in effects:
+        if effect.name in names:
+            raise ParameterError(f"effects.{effect.name}: stands there twice: a drive has each effect once")
+        names.add(effect.name)
+        if effect.exclusive is None:
+            continue
+        if effect.exclusive in holders:
+            raise ParameterError(
+                f"effects.{effect.name}: a machine has one {effect.exclusive}, and effects.{holders[effect.exclusive]} "
+                "is one, too: keep either"
+            )
+        holders[effect.exclusive] = effect.name
+
+
 def check_drive(drive: Drive) -> None:
     """`check`, and the conditions that concern several parameters."""
     check(drive)
+    require_compatible(drive.effects)
     delay = drive.actuator.delay_samples
     if not isinstance(delay, int) or delay < 0:
         raise ParameterError(

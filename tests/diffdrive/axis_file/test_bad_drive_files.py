@@ -61,7 +61,7 @@ FILES = {
     "two screws": (
         "effects",
         {"compliance": {"frequency": 200}, "backlash": {"gap": "5 um", "frequency": 400}},
-        r"\[effects\] compliance: a machine has one screw: \[effects\.backlash\] is one, too",
+        r"effects\.backlash: a machine has one screw, and effects\.compliance is one, too: keep either",
     ),
     "negative delay": ("actuator.delay_samples", -1, r"\[actuator\] delay_samples: must be a whole number of samples"),
     "fractional delay": ("actuator.delay_samples", 0.5, r"\[actuator\] delay_samples: must be a whole number"),

@@ -15,7 +15,7 @@ from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.effects import stages
 from diffdrive.effects.actuator import ActuatorLag, ForceGain, ForceLimit, LoopDelay
-from diffdrive.effects.base import Seen
+from diffdrive.effects.base import Seen, TableForce
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration, PositionSpring, ProcessForce, window
 from diffdrive.effects.friction import AppliedLoad, FrictionDwell, PositionFriction, PreslidingHysteresis, ViscousDrift
@@ -28,11 +28,13 @@ from diffdrive.logs import Log
 from diffdrive.loop.linearise import OperatingPoint, open_loop, response
 from diffdrive.loop.simulate import compiled_rollout, loop_inputs, rollout, simulate
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Sampling, Sensor
+from diffdrive.model.parameters import Sampling, Sensor, check_drive
 from diffdrive.model.plant import advance, at_rest
 from diffdrive.model.presets import paper_drive
+from diffdrive.model.quantity import quantity
 from diffdrive.motion.builders import triangular
 from diffdrive.numerics.arrays import as_arrays
+from diffdrive.paper import paper_axis
 from tuning.identification.setup import build_problem
 
 RATE = 2_000.0
@@ -75,6 +77,39 @@ def with_effects(*effects, drive=DRIVE):
 
 def frames(drive):
     return compiled_rollout(*as_arrays((drive, CONTROLLER)), INPUTS, SAMPLING)
+
+
+def test_a_force_of_ones_own_is_that_of_the_periods_midpoint():
+    class Spring(TableForce):
+        stiffness: float = quantity("N/m", "force per displacement", default=0.0)
+
+        def push(self, seen):
+            return -self.stiffness * (seen.position - 0.0002)
+
+    zero = jnp.zeros(())
+    seen = Seen(0.1 + zero, 1e-3 + zero, 0.05 + zero, zero, zero, zero, zero)
+    ours, built_in = (one.step((), seen, DRIVE, 5e-4)[1] for one in (Spring(4_000.0), PositionSpring(4_000.0, 0.0002)))
+    assert ours == built_in
+    assert float(ours.force) == pytest.approx(-4_000.0 * (1e-3 + 0.05 * 2.5e-4 - 0.0002))
+
+
+def test_what_no_machine_has_beside_each_other_is_refused():
+    axis = paper_axis()
+    for two, says in (
+        (
+            (Compliance(), Backlash()),
+            r"effects\.backlash: a machine has one screw, and effects\.compliance is one, too",
+        ),
+        ((ConstantForce(1.0), ConstantForce(2.0)), r"effects\.constant_force: stands there twice"),
+    ):
+        with pytest.raises(ParameterError, match=says):
+            axis.with_effects(*two)
+        with pytest.raises(ParameterError, match=says):
+            check_drive(with_effects(*two))
+    with pytest.raises(ParameterError, match="one screw"):
+        axis.with_effects(Compliance()).with_effects(Backlash())
+    (kept,) = axis.with_effects(ConstantForce(1.0)).with_effects(ConstantForce(2.0)).drive.effects
+    assert kept.force == 2.0
 
 
 def test_every_effect_of_the_catalogue_is_here():
@@ -158,8 +193,9 @@ def test_derivatives_at_the_default_are_those_of_differences_ahead(effect):
             np.testing.assert_allclose(slopes[k], difference, rtol=0, atol=2e-3 * size + rounding, err_msg=name)
 
 
-def test_an_oscillator_is_stepped_exactly():
-    push, angular, damping = 3.0, 40.0, 0.1
+@pytest.mark.parametrize("damping", [0.0, 0.1, 0.9985, 0.9995, 1.0, 1.5, 20.0])
+def test_an_oscillator_is_stepped_exactly(damping):
+    push, angular = 3.0, 40.0
 
     def rates(_, q):
         return [q[1], push - 2 * damping * angular * q[1] - angular**2 * q[0]]
@@ -167,6 +203,15 @@ def test_an_oscillator_is_stepped_exactly():
     found = scipy.integrate.solve_ivp(rates, (0, 0.13), [1e-3, -0.2], method="DOP853", rtol=1e-12, atol=1e-15)
     ours = discretise(angular, damping, 0.13).step(Oscillator(1e-3, -0.2), push)
     np.testing.assert_allclose([float(ours.deflection), float(ours.rate)], found.y[:, -1], rtol=1e-9)
+
+    def end(damping):
+        after = discretise(angular, damping, 0.13).step(Oscillator(1e-3, -0.2), push)
+        return jnp.stack([after.deflection, after.rate])
+
+    slope, step = jax.jvp(end, (damping,), (1.0,))[1], 1e-5
+    difference = (end(damping + step) - end(damping - step)) / (2.0 * step)
+    np.testing.assert_allclose(slope, difference, rtol=1e-5)
+    assert np.all(np.abs(slope) > 1e-6)
 
 
 def test_a_lag_passes_on_the_mean_of_an_exponential():
