@@ -1,5 +1,7 @@
 """The errors and warnings that diffdrive raises; each message says what, where, and what to do."""
 
+from typing import Any
+
 from diffdrive.support.messages import printable
 
 
@@ -27,7 +29,11 @@ class PrecisionError(DiffdriveError, RuntimeError):
 
 
 class ResultError(DiffdriveError, RuntimeError):
-    """A result is not ok, and the caller asked for an error in the place of a status."""
+    """A result is not ok, and the caller asked for an error in the place of a status: `result` is the result itself."""
+
+    def __init__(self, message: str, result: Any = None) -> None:
+        super().__init__(message)
+        self.result = result
 
 
 class DivergenceError(ResultError):

@@ -4,14 +4,14 @@ import abc
 import html
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import ClassVar, TypeVar
 
 import numpy as np
 
-from diffdrive.errors import ResultError
+from diffdrive.errors import DivergenceError, ResultError
 from diffdrive.support.atomic_write import write_text
 
 
@@ -56,14 +56,22 @@ class Result(abc.ABC):
         kind = self.schema.split("/")[0]
         path = Path(folder) / f"{kind}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
-        document = {"schema": self.schema, "status": asdict(self.status)} | self.as_dict()
-        write_text(path, json.dumps(as_json(document), indent=2, allow_nan=False) + "\n")
+        write_text(path, json.dumps(as_json(self.document()), indent=2, allow_nan=False) + "\n")
         return path
 
+    def document(self) -> dict[str, object]:
+        """What `save` writes: the schema, the status and the notes, then `as_dict`."""
+        head = {"schema": self.schema, "status": asdict(self.status), "notes": list(self.notes)}
+        return head | self.as_dict()
+
     def require_ok(self: AnyResult) -> AnyResult:
-        """The result itself; raises `ResultError` with the status's message where that is not ok."""
+        """The result itself; raises `ResultError` where it is not ok, `DivergenceError` where a loop diverged.
+
+        The error has the message of the status, and the `result`.
+        """
         if not self.status.ok:
-            raise ResultError(self.status.message)
+            error = DivergenceError if self.status.code == "diverged" else ResultError
+            raise error(self.status.message, self)
         return self
 
     def __repr__(self) -> str:
@@ -76,16 +84,20 @@ class Result(abc.ABC):
         return f"<pre>{html.escape(self.summary())}</pre>"
 
 
-def as_json(value: object) -> object:
-    """The value as JSON can hold it; infinite and undefined numbers become null."""
+def _null(number: float) -> None:
+    """What an infinite or undefined number becomes in the file of a result."""
+
+
+def as_json(value: object, not_finite: Callable[[float], object] = _null) -> object:
+    """The value as JSON can hold it; infinite and undefined numbers, which it has not, become null, or `not_finite`."""
     if isinstance(value, Mapping):
-        return {str(key): as_json(item) for key, item in value.items()}
+        return {str(key): as_json(item, not_finite) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [as_json(item) for item in value]
+        return [as_json(item, not_finite) for item in value]
     if isinstance(value, np.ndarray) or hasattr(value, "__jax_array__") or type(value).__module__.startswith("jax"):
-        return as_json(np.asarray(value).tolist())
+        return as_json(np.asarray(value).tolist(), not_finite)
     if isinstance(value, np.generic):
-        return as_json(value.item())
+        return as_json(value.item(), not_finite)
     if isinstance(value, float) and not math.isfinite(value):
-        return None
+        return not_finite(value)
     return value

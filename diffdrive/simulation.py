@@ -1,5 +1,7 @@
 """An axis simulated: every signal of one motion, or a pure function of the axis for `jit`, `grad` and `vmap`."""
 
+import warnings
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,7 @@ from jaxtyping import Array, Float, PyTree
 
 from diffdrive.axis import Axis
 from diffdrive.controllers.base import Reference
-from diffdrive.errors import ParameterError
+from diffdrive.errors import LoadEstimatorWarning, ParameterError
 from diffdrive.loop import simulate as loop
 from diffdrive.loop.metrics import rms, window
 from diffdrive.loop.run import Run
@@ -29,7 +31,8 @@ def simulate(
 ) -> Run:
     """Simulate one motion of an axis, and return every signal with a status that says whether the run is valid.
 
-    A loop that diverges is a status, and an error only with `throw`.
+    A loop that diverges is a status, and an error only with `throw`. Where the controller's load estimator does not
+    converge, the run's `notes` say so, and a `LoadEstimatorWarning`.
 
     Args:
         axis: The drive and its controller.
@@ -56,6 +59,8 @@ def simulate(
     run = loop.simulate(
         drive, axis.controller, motion, load, sampling=axis.sampling, limits=axis.limits, seed=seed, every=every
     )
+    for note in run.notes:
+        warnings.warn(note, LoadEstimatorWarning, stacklevel=2)
     return run.require_ok() if throw else run
 
 

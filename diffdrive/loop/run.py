@@ -7,7 +7,6 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import PyTree
 
-from diffdrive.errors import DivergenceError
 from diffdrive.logs.log import Log
 from diffdrive.loop.metrics import window
 from diffdrive.motion.motion import Limits, Motion
@@ -36,6 +35,9 @@ class Run(Result):
     notes: tuple[str, ...] = ()
 
     schema: ClassVar[str] = "run/1"
+
+    def summary(self) -> str:
+        return "\n".join([self.headline(), *(f"- {note}" for note in self.notes)])
 
     def headline(self) -> str:
         rms, peak = (f"{1e6 * value:.3g} µm" for value in (self.rms_error(), self.peak_error()))
@@ -103,12 +105,6 @@ class Run(Result):
         time, position, command = (np.asarray(signal, dtype=np.float64) for signal in channels)
         reference, load = (np.asarray(signal, dtype=np.float64) for signal in (self.reference, self.load))
         return Log(name, time=time, position=position, command=command, reference=reference, load=load)
-
-    def require_ok(self) -> "Run":
-        """The run itself; raises `DivergenceError` where the loop diverged, `ResultError` where else it is not ok."""
-        if self.status.code == "diverged":
-            raise DivergenceError(self.status.message)
-        return super().require_ok()
 
 
 def divergence_bound(reference: np.ndarray, limits: Limits) -> float:

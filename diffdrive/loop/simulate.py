@@ -7,7 +7,6 @@ the measurement at k and on the force applied up to k, so there is no algebraic 
 """
 
 import operator
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -23,7 +22,7 @@ from jaxtyping import Array, Float, PyTree
 from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import feasibility, stages
 from diffdrive.effects.base import Effect, Push
-from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
+from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop.convergence import convergence_warnings
 from diffdrive.loop.metrics import safe_sqrt
 from diffdrive.loop.run import Run, with_status
@@ -332,7 +331,8 @@ def simulate(
 
     `load` is in N, one number or one per sample. `seed` seeds the sensor noise (None: no noise). `every` keeps each
     n-th sample. Raises `ParameterError` and `MotionError` on bad input; a loop that diverges does not raise but
-    returns a `Run` whose `status` says which signal left its bounds and when.
+    returns a `Run` whose `status` says which signal left its bounds and when. Its `notes` say where the controller's
+    load estimator does not converge.
     """
     require_double_precision()
     check_drive(drive)
@@ -359,8 +359,7 @@ def simulate(
     feasibility.require_feasible(
         drive, feasibility.motion_envelope(motion.position, motion.velocity, loads, sampling.period)
     )
-    for problem in convergence_warnings(controller, motion, loads, sampling.period):
-        warnings.warn(problem, LoadEstimatorWarning, stacklevel=2)
+    notes = tuple(convergence_warnings(controller, motion, loads, sampling.period))
     number = None if seed is None else _whole_number(seed)
     if seed is not None and (number is None or not -(2**63) <= number < 2**63):
         raise ParameterError(f"seed must be a whole number of 64 bits, or None for no noise, got {short_repr(seed)}")
@@ -369,7 +368,8 @@ def simulate(
     def run_machine(machine: Drive) -> tuple[Run, float | None]:
         frames = compiled_rollout(*as_arrays((machine, controller)), loop_inputs(motion, loads), sampling, key, stride)
         limit = stages.force_limit(machine)
-        return Run.from_frames(motion, loads, frames, stride), None if limit is None else float(limit)
+        run = replace(Run.from_frames(motion, loads, frames, stride), notes=notes)
+        return run, None if limit is None else float(limit)
 
     def converges_without(effects: Sequence[Effect]) -> bool:
         machine = replace(

@@ -62,6 +62,8 @@ def section(result: object, writer: Report) -> None:
 @section.register
 def _(result: Run, writer: Report) -> None:
     writer.values("run", status=result.status.message, **result.as_dict())
+    for note in result.notes:
+        writer.say(note)
     write_simulation(writer, result)
 
 

@@ -16,10 +16,10 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from rich.console import Console
 from rich.text import Text
 
+from diffdrive.results import as_json
 from diffdrive.support.atomic_write import atomic_write
 from diffdrive.support.messages import printable
 from experiments.reports import progress, readable
@@ -34,19 +34,9 @@ RESULT = "result.json"
 NO_ROOM = f"OSError: [Errno {errno.ENOSPC}] {os.strerror(errno.ENOSPC)}"
 
 
-def plain(value: object) -> object:
-    """The value as JSON can hold it, which has no infinite or undefined numbers: they become their names."""
-    if isinstance(value, dict):
-        return {str(key): plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
-    if isinstance(value, np.ndarray) or hasattr(value, "__jax_array__") or type(value).__module__.startswith("jax"):
-        return plain(np.asarray(value).tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    return value
+def plain(value: object) -> Any:
+    """The value as JSON can hold it; infinite and undefined numbers become their names."""
+    return as_json(value, str)
 
 
 def _json(data: dict[str, object]) -> str:

@@ -15,10 +15,10 @@ from diffdrive.logs.write import write_csv
 from diffdrive.loop import metrics
 from diffdrive.loop.convergence import convergence_gains, time_constants
 from diffdrive.loop.run import Run
-from diffdrive.loop.simulate import simulate
 from diffdrive.motion.text import numbers, parse_load, parse_motion, require_longer_than, require_same_rate
 from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
+from diffdrive.simulation import simulate
 from experiments.reports.readable import shown
 from experiments.reports.report import Report, new_figure
 
@@ -68,10 +68,7 @@ def simulate_drive(
     loads = parse_load(load, planned.time)
     with Report(f"{drive.name}: {planned.name}, {planned.duration:g} s", out) as report:
         with report.working("simulating"):
-            run = simulate(
-                other.drive, description.controller, planned, loads,
-                sampling=description.sampling, limits=description.limits, seed=seed,
-            )  # fmt: skip
+            run = simulate(description, planned, loads, machine=other, seed=seed)
         if run.status.ok:
             report.keep(
                 "result",
@@ -86,6 +83,8 @@ def simulate_drive(
                 _load(report, float(run.load[-1]), float(run.load_estimate[-1]))
         report.values("run", status=run.status.message)
         write_simulation(report, run)
+        if report.out is not None:
+            run.save(report.out)
     return run.status.ok
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import pickle
 
 import equinox as eqx
 import jax
@@ -13,8 +14,10 @@ import pytest
 
 import diffdrive as dd
 from diffdrive.effects.catalogue import EFFECTS, effects_by_part
-from diffdrive.errors import DivergenceError, LogError, ParameterError
+from diffdrive.errors import DivergenceError, LoadEstimatorWarning, LogError, ParameterError, ResultError
+from diffdrive.loop.run import Run
 from diffdrive.paper import example_controllers
+from diffdrive.results import Status
 
 AXIS = dd.paper_axis()
 LAP = dd.motion.triangular(speed=0.010, stroke=0.001, rounding=0.05, duration=0.2, rate=AXIS.rate)
@@ -162,6 +165,26 @@ def test_a_result_is_saved_with_its_schema(tmp_path):
     written = json.loads(diverged.save(tmp_path).read_text())
     assert written["status"] == dataclasses.asdict(diverged.status)
     assert written["status"]["signal"] == "tracking error"
+
+
+def test_a_note_of_a_run_is_a_warning_at_the_callers_line_and_is_saved(monkeypatch, tmp_path):
+    zeros = np.zeros(3)
+    noted = Run(zeros, *(zeros for _ in range(9)), None, None, notes=("the load estimate drifts",))
+    monkeypatch.setattr("diffdrive.loop.simulate.simulate", lambda *_, **__: noted)
+    with pytest.warns(LoadEstimatorWarning, match="drifts") as caught:
+        run = dd.simulate(AXIS, LAP)
+    assert caught[0].filename == __file__
+    assert json.loads(run.save(tmp_path).read_text())["notes"] == ["the load estimate drifts"]
+    assert str(run).endswith("- the load estimate drifts")
+
+
+def test_the_error_in_the_place_of_a_result_holds_it():
+    zeros = np.zeros(3)
+    run = Run(zeros, *(zeros for _ in range(9)), None, None, status=Status(False, "too weak", code="saturated"))
+    with pytest.raises(ResultError, match="too weak") as caught:
+        run.require_ok()
+    assert caught.value.result is run
+    assert str(pickle.loads(pickle.dumps(ResultError("too weak", 3)))) == "too weak"
 
 
 LOG = dd.simulate(AXIS, LAP).log("lap")

@@ -1,6 +1,5 @@
 """What a drive is tuned on and what it is verified on: motions, loads, machines and noise, none of them in both."""
 
-import warnings
 from dataclasses import dataclass
 from operator import attrgetter
 
@@ -11,7 +10,7 @@ from jaxtyping import Float, PyTree
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
-from diffdrive.errors import LoadEstimatorWarning, MotionError, ParameterError
+from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop import metrics
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate
@@ -217,11 +216,7 @@ def run_scenario(
     controller: Controller, scenario: Scenario, sampling: Sampling, settle: float = SETTLE
 ) -> ScenarioResult:
     """Run a scenario on the exact (quantised, limited) simulator."""
-    with warnings.catch_warnings():  # the load estimator has its own verdict
-        warnings.simplefilter("ignore", LoadEstimatorWarning)
-        run = simulate(
-            scenario.drive, controller, scenario.motion, scenario.load, sampling=sampling, seed=scenario.seed
-        )
+    run = simulate(scenario.drive, controller, scenario.motion, scenario.load, sampling=sampling, seed=scenario.seed)
     part = run.between(settle, np.inf)
     missed = None
     if run.load_estimate is not None:

@@ -92,7 +92,6 @@ class TuningResult(Result):
             "tuned_on": self.tuned_on.as_dict(),
             "held_out": self.held_out.as_dict(),
             "margins": self.margins.as_dict(),
-            "notes": list(self.notes),
         }
 
 

@@ -118,7 +118,6 @@ class IdentificationResult(Result):
             "noise_m": self.fit.noise,
             "white_force_N": self.fit.process_force,
             "logs": [log.name for log in self.logs.logs],
-            "notes": list(self.notes),
         }
 
 
