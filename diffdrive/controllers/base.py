@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, PyTree
 
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive, Plant
+from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from diffdrive.model.quantity import Directional, quantity, quantity_table
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.observers.friction_observer import ObserverEstimate
@@ -215,6 +216,6 @@ TRACKING_GAINS = {
 }
 
 
-def paper_tracking(drive: Drive, kp: Scalar, kd: Scalar) -> Tracking:
-    """Feedback with these gains, and the feed-forward of the drive's inertia and damping."""
+def paper_tracking(drive: Drive, kp: Scalar = PAPER_KP, kd: Scalar = PAPER_KD) -> Tracking:
+    """Feedback with these gains, by default the paper's, and the feed-forward of the drive's inertia and damping."""
     return Tracking(PDGains(kp, kd), Feedforward.of(drive.plant))

@@ -134,4 +134,5 @@ KIND = Kind(
     _build,
     (Keys("controller", Cascade),),
     (FEEDFORWARD, VELOCITY_SAMPLES),
+    example=lambda drive: Cascade(kp=50.0, kv=1e5, ki=1e6, velocity_feedforward=1.0),
 )

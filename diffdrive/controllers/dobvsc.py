@@ -14,6 +14,7 @@ from diffdrive.controllers.base import (
     Reference,
     Tracking,
     Tunable,
+    paper_tracking,
 )
 from diffdrive.controllers.disturbance_observer import (
     OBSERVER_KEYS,
@@ -99,4 +100,5 @@ KIND = Kind(
     _build,
     (TRACKING_KEYS, OBSERVER_KEYS, Keys("controller", DOBVSC)),
     TRACKING_OPTIONS,
+    example=lambda drive: DOBVSC(paper_tracking(drive), DisturbanceObserver.of(drive.plant, 240.0)),
 )

@@ -14,6 +14,7 @@ from diffdrive.controllers.base import (
     Reference,
     Tracking,
     Tunable,
+    paper_tracking,
 )
 from diffdrive.controllers.disturbance_observer import (
     OBSERVER_KEYS,
@@ -98,4 +99,7 @@ KIND = Kind(
     _build,
     (TRACKING_KEYS, OBSERVER_KEYS, Keys("controller", PDFeedforwardDOB)),
     TRACKING_OPTIONS,
+    example=lambda drive: PDFeedforwardDOB(
+        paper_tracking(drive), DisturbanceObserver.of(drive.plant, 3.0), drive.friction
+    ),
 )

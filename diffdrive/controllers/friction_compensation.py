@@ -17,6 +17,7 @@ from diffdrive.controllers.base import (
     Reference,
     Tracking,
     Tunable,
+    paper_tracking,
 )
 from diffdrive.controllers.kinds import (
     TRACKING_KEYS,
@@ -133,14 +134,26 @@ def _keys(tuning: type[eqx.Module], estimator: type[eqx.Module]) -> tuple[Keys, 
     return (TRACKING_KEYS, Keys("controller.observer", tuning), Keys("controller.load_estimator", estimator))
 
 
+def _example(observer: type[FrictionObserver], *settings: eqx.Module) -> Callable[[Drive], FrictionCompensation]:
+    return lambda drive: FrictionCompensation(paper_tracking(drive), observer(drive.plant, drive.friction, *settings))
+
+
 KINDS = (
-    Kind("pd+fc", "friction observer", _builder_with(FixedLoad), _keys(Tuning, FixedLoad), TRACKING_OPTIONS),
+    Kind(
+        "pd+fc",
+        "friction observer",
+        _builder_with(FixedLoad),
+        _keys(Tuning, FixedLoad),
+        TRACKING_OPTIONS,
+        example=_example(KalmanObserver),
+    ),
     Kind(
         "pd+fc+le",
         "friction observer with the load estimator of the paper's eq. (20)",
         _builder_with(InnovationLoad),
         _keys(Tuning, InnovationLoad),
         TRACKING_OPTIONS,
+        example=_example(KalmanObserver, Tuning(), InnovationLoad()),
     ),
     Kind(
         "pd+fc+ls",
@@ -148,5 +161,6 @@ KINDS = (
         _build_with_load_state,
         _keys(LoadStateTuning, LoadStateObserver),
         TRACKING_OPTIONS,
+        example=_example(LoadStateObserver),
     ),
 )

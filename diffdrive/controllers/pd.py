@@ -2,7 +2,16 @@
 
 from collections.abc import Mapping
 
-from diffdrive.controllers.base import TRACKING_GAINS, Command, Controller, LastError, Reference, Tracking, Tunable
+from diffdrive.controllers.base import (
+    TRACKING_GAINS,
+    Command,
+    Controller,
+    LastError,
+    Reference,
+    Tracking,
+    Tunable,
+    paper_tracking,
+)
 from diffdrive.controllers.kinds import TRACKING_KEYS, TRACKING_OPTIONS, Kind, read_tracking
 from diffdrive.model.parameters import Drive
 from diffdrive.numerics.arrays import Scalar
@@ -49,4 +58,5 @@ KIND = Kind(
     lambda section, drive: PD(read_tracking(section, drive, feedforward=False)),
     (TRACKING_KEYS,),
     TRACKING_OPTIONS,
+    example=lambda drive: PD(paper_tracking(drive)),
 )

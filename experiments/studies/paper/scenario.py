@@ -6,11 +6,10 @@ import numpy as np
 
 from diffdrive.controllers import Controller
 from diffdrive.model.parameters import Drive
-from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from diffdrive.motion import load
 from diffdrive.motion.builders import triangular
 from diffdrive.motion.motion import Motion
-from diffdrive.paper import LIMITS, SAMPLING, paper_controllers
+from diffdrive.paper import LIMITS, SAMPLING, example_controllers
 
 __all__ = [
     "AFTER_LOAD",
@@ -25,6 +24,7 @@ __all__ = [
     "controllers",
 ]
 
+KINDS = ("pd", "dobvsc", "pd+ff+dob", "pd+fc", "pd+fc+le", "pd+fc+ls")
 AFTER_LOAD = (4.0, 4.2)  # s: the reversal under load, Table 1
 BEFORE_LOAD = (2.0, 2.2)  # s: the same reversal without load
 MAX_LOAD = 12_600.0  # N, the testbed's highest
@@ -57,7 +57,7 @@ def canonical() -> PaperScenario:
     return PaperScenario(motion, load.ramp(motion.time, start=2.5, end=3.5, to=10_000.0))
 
 
-def controllers(drive: Drive, kp: float = PAPER_KP, kd: float = PAPER_KD) -> dict[str, Controller]:
+def controllers(drive: Drive) -> dict[str, Controller]:
     """The paper's five controllers, and ours, with a model of exactly this drive."""
-    kinds = paper_controllers(drive, kp, kd)
-    return {kind.upper(): controller for kind, controller in kinds.items() if kind != "cascade"}
+    examples = example_controllers(drive)
+    return {kind.upper(): examples[kind] for kind in KINDS}

@@ -35,6 +35,7 @@ from diffdrive.model.quantity import Directional
 from diffdrive.motion.motion import Limits
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, LoadStateTuning, Tuning
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
+from diffdrive.paper import example_controllers
 
 ROOT = Path(__file__).parents[3]
 BENCH = (ROOT / "../shared/data/bench").resolve()
@@ -71,7 +72,7 @@ CONTROLLERS = {
     "cascade with feed-forward": Cascade(kp=50.0, kv=1e5, feedforward=Feedforward.of(PLANT)),
 }
 OTHERS = {name: kind.example(DRIVE) for name, kind in KINDS.items() if kind.example is not None}
-ALL = CONTROLLERS | OTHERS
+ALL = OTHERS | CONTROLLERS
 
 
 def description(controller=CONTROLLERS["pd"], **changes) -> Axis:
@@ -90,6 +91,11 @@ def assert_same(one: Axis, other: Axis) -> None:
         assert bool(eqx.tree_equal(a, b))
     assert one.sampling == other.sampling
     assert one.limits == other.limits
+
+
+def test_every_kind_that_can_be_simulated_has_gains_for_the_papers_testbed():
+    assert {name for name, kind in KINDS.items() if kind.example is None} == {"unknown"}
+    assert [one.kind for one in example_controllers(DRIVE).values()] == list(example_controllers(DRIVE))
 
 
 def test_every_kind_is_round_tripped_here():

@@ -40,6 +40,8 @@ PAPER = {
 }
 GAINS = {"kp": 1e6, "kd": 16_000.0}
 CONTROLLERS = {
+    name: kind.example(paper_drive()).table() for name, kind in KINDS.items() if kind.example is not None
+} | {
     "pd": GAINS,
     "dobvsc": GAINS | {"cutoff": 100.0},
     "pd+ff+dob": GAINS | {"cutoff": 100.0},
@@ -47,7 +49,7 @@ CONTROLLERS = {
     "pd+fc+le": GAINS,
     "pd+fc+ls": GAINS,
     "cascade": {"kp": 50.0, "kv": 16_000.0},
-} | {name: kind.example(paper_drive()).table() for name, kind in KINDS.items() if kind.example is not None}
+}
 STATIC = {
     ("actuator", "delay_samples"),
     ("controller", "velocity_samples"),
