@@ -25,7 +25,7 @@ from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import stages
 from diffdrive.effects.base import Push
 from diffdrive.errors import ParameterError
-from diffdrive.loop.simulate import LoopState, initial_state, step_machine
+from diffdrive.loop.step import LoopState, initial_state, step_machine
 from diffdrive.model import actuator, plant, sensor
 from diffdrive.model.friction import lugre_coefficients, steady_friction, stribeck_level
 from diffdrive.model.parameters import Drive, Sampling

@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
-from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion.builders import triangular

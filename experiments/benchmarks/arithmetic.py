@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax.extend.core import Jaxpr, JaxprEqn
 
 from diffdrive.controllers import Controller, Reference
-from diffdrive.loop.simulate import Inputs, initial_state, step
+from diffdrive.loop.step import Inputs, initial_state, step
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import as_arrays
 

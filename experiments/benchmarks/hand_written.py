@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.errors import DiffdriveError
-from diffdrive.loop.simulate import Inputs
+from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Sampling
 from diffdrive.motion.load import Ramp
 from diffdrive.numerics.arrays import as_arrays

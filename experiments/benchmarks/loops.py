@@ -13,8 +13,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller, Reference
-from diffdrive.loop.simulate import Inputs, rollout, running_costs
+from diffdrive.loop.costs import running_costs
+from diffdrive.loop.rollout import rollout
 from diffdrive.loop.smooth import smooth
+from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar, as_arrays, in_precision_of
 from experiments.studies.paper import scenario as paper

@@ -13,7 +13,7 @@ from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import ParameterError
 from diffdrive.loop import metrics
-from diffdrive.loop.simulate import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import quantities

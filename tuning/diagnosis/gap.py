@@ -19,7 +19,8 @@ from jaxtyping import Array, Float, Key, PyTree
 from diffdrive.controllers import Controller
 from diffdrive.effects.actuator import LONGEST_DELAY, LoopDelay
 from diffdrive.logs import Log
-from diffdrive.loop.simulate import Inputs, rollout
+from diffdrive.loop.rollout import rollout
+from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import as_arrays
 from tuning.diagnosis.exposure import Course

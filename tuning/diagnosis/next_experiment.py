@@ -19,7 +19,8 @@ from diffdrive import motion as motions
 from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
 from diffdrive.errors import MotionError
-from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Sensor
 from diffdrive.motion.motion import Motion, require_within
 from diffdrive.numerics.arrays import as_arrays

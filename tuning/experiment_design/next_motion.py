@@ -19,8 +19,9 @@ from jaxtyping import Array, Float
 from diffdrive import motion
 from diffdrive.controllers import Controller, UnknownController
 from diffdrive.errors import MotionError
-from diffdrive.loop.simulate import Frame, Inputs, loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
+from diffdrive.loop.step import Frame, Inputs
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.motion.motion import Limits, Motion, require_within
 from diffdrive.numerics.arrays import as_arrays

@@ -13,8 +13,9 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import Controller
 from diffdrive.effects.stages import force_limit
 from diffdrive.errors import MotionError, ParameterError
-from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
+from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive, Sampling, Sensor
 from diffdrive.motion.motion import Motion
 from diffdrive.numerics.arrays import as_arrays

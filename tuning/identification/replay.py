@@ -18,7 +18,8 @@ from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import stages
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.loop.simulate import Inputs, LoopState, rollout
+from diffdrive.loop.rollout import rollout
+from diffdrive.loop.step import Inputs, LoopState
 from diffdrive.model.actuator import saturate, steady_state
 from diffdrive.model.friction import steepest_stribeck_slope
 from diffdrive.model.parameters import Drive, Sampling, check_drive

@@ -10,7 +10,8 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Float, PyTree
 
 from diffdrive.controllers import Controller, Reference
-from diffdrive.loop.simulate import Costs, Inputs, running_costs
+from diffdrive.loop.costs import Costs, running_costs
+from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.motion.load import Ramp
 from diffdrive.numerics.arrays import as_arrays, in_precision_of

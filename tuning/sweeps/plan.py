@@ -17,7 +17,7 @@ from diffdrive.controllers import Controller
 from diffdrive.effects.base import Envelope
 from diffdrive.effects.feasibility import limits_envelope, motion_envelope, require_feasible
 from diffdrive.errors import MotionError, ParameterError
-from diffdrive.loop.simulate import Costs
+from diffdrive.loop.costs import Costs
 from diffdrive.model.parameters import Drive
 from diffdrive.motion.load import Ramp, require_resolved_friction
 from diffdrive.motion.motion import Motion, require_within

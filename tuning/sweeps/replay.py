@@ -9,8 +9,8 @@ from jaxtyping import Array
 
 from diffdrive.effects.stages import force_limit
 from diffdrive.errors import ParameterError
+from diffdrive.loop.rollout import compiled_rollout, loop_inputs
 from diffdrive.loop.run import Run, with_status
-from diffdrive.loop.simulate import compiled_rollout, loop_inputs
 from diffdrive.model.parameters import Drive
 from diffdrive.motion.load import Ramp
 from diffdrive.numerics.arrays import as_arrays

@@ -17,8 +17,9 @@ from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.effects import stages
 from diffdrive.logs.log import Log
+from diffdrive.loop.rollout import loop_inputs, rollout
 from diffdrive.loop.run import Run, with_status
-from diffdrive.loop.simulate import Inputs, LoopState, initial_state, loop_inputs, rollout, step
+from diffdrive.loop.step import Inputs, LoopState, initial_state, step
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.model.quantity import Directional
 from diffdrive.motion.motion import Motion

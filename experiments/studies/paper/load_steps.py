@@ -7,7 +7,8 @@ from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
-from diffdrive.loop.simulate import Inputs, loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load

@@ -25,8 +25,9 @@ from diffdrive.controllers import (
 )
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects import ForceLimit, ScaleEffect
+from diffdrive.loop.rollout import loop_inputs, rollout
 from diffdrive.loop.run import Run
-from diffdrive.loop.simulate import loop_inputs, rollout, simulate
+from diffdrive.loop.simulate import simulate
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Actuator, Sampling, Sensor

@@ -26,7 +26,8 @@ from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import DriveFileError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.loop.linearise import OperatingPoint, open_loop, response
-from diffdrive.loop.simulate import compiled_rollout, loop_inputs, rollout, simulate
+from diffdrive.loop.rollout import compiled_rollout, loop_inputs, rollout
+from diffdrive.loop.simulate import simulate
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Sampling, Sensor, check_drive
 from diffdrive.model.plant import advance, at_rest

@@ -21,7 +21,7 @@ from diffdrive.controllers import (
 )
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.loop import metrics
-from diffdrive.loop.simulate import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive

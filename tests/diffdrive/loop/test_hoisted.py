@@ -19,8 +19,10 @@ from diffdrive.controllers import (
 )
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.catalogue import EFFECTS
-from diffdrive.loop.simulate import initial_state, loop_inputs, rollout, running_costs, step
+from diffdrive.loop.costs import running_costs
+from diffdrive.loop.rollout import loop_inputs, rollout
 from diffdrive.loop.smooth import smooth
+from diffdrive.loop.step import initial_state, step
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion.load import Ramp

@@ -17,8 +17,8 @@ from scipy.signal import cont2discrete
 from diffdrive.controllers import Cascade, Command, Controller, Feedforward, Reference
 from diffdrive.loop import linearise
 from diffdrive.loop.linearise import OpenLoop, OperatingPoint, open_loop
-from diffdrive.loop.simulate import Inputs, LoopState, initial_state, step
 from diffdrive.loop.smooth import smooth
+from diffdrive.loop.step import Inputs, LoopState, initial_state, step
 from diffdrive.model import actuator, plant, sensor
 from diffdrive.model.friction import steady_friction, stribeck_level
 from diffdrive.model.parameters import Actuator, Sampling

@@ -13,7 +13,8 @@ from diffdrive.controllers import PD, Reference
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.loop.linearise import OpenLoop, OperatingPoint, open_loop
 from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins, margins
-from diffdrive.loop.simulate import Inputs, initial_state, rollout
+from diffdrive.loop.rollout import rollout
+from diffdrive.loop.step import Inputs, initial_state
 from diffdrive.model.friction import steady_friction, stribeck_level
 from diffdrive.model.parameters import Drive, Plant, Sampling
 from diffdrive.model.plant import PlantState

@@ -17,7 +17,8 @@ from diffdrive import motion
 from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.effects.friction import PositionFriction
 from diffdrive.errors import ParameterError
-from diffdrive.loop.simulate import loop_inputs, rollout, simulate
+from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.simulate import simulate
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Drive, Friction, Plant, Sampling
 from diffdrive.model.plant import PlantState, advance

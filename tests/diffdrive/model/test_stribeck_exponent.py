@@ -13,7 +13,8 @@ from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.effects.machine import FrictionShape
 from diffdrive.errors import DriveFileError
 from diffdrive.loop import metrics
-from diffdrive.loop.simulate import loop_inputs, rollout, simulate
+from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.simulate import simulate
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.friction import steady_friction, steepest_stribeck_slope
 from diffdrive.model.parameters import Sampling

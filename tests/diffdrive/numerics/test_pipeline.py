@@ -12,7 +12,8 @@ from diffdrive.controllers import PD, Cascade
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import ParameterError
 from diffdrive.loop.linearise import OperatingPoint, open_loop
-from diffdrive.loop.simulate import loop_inputs, rollout, simulate
+from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.simulate import simulate
 from diffdrive.model import actuator
 from diffdrive.model.parameters import Actuator, Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive

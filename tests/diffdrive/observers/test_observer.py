@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from diffdrive import motion
 from diffdrive.controllers import PD, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
-from diffdrive.loop.simulate import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load

@@ -9,7 +9,7 @@ import pytest
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import DiffdriveError, ParameterError
-from diffdrive.loop.simulate import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout
 from diffdrive.model.parameters import Actuator, Drive
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.model.quantity import Directional

@@ -9,7 +9,8 @@ import pytest
 from diffdrive import motion
 from diffdrive.controllers import FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
-from diffdrive.loop.simulate import loop_inputs, rollout, simulate
+from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load

@@ -9,7 +9,7 @@ import pytest
 
 from diffdrive.controllers import UnknownController
 from diffdrive.effects.forces import ConstantForce
-from diffdrive.loop.simulate import loop_inputs
+from diffdrive.loop.rollout import loop_inputs
 from diffdrive.motion.motion import Limits, require_within
 from diffdrive.motion.text import parse_motion
 from tests.support.fake_fits import fake_fit

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.logs import Log
-from diffdrive.loop.simulate import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout
 from diffdrive.model import actuator, plant
 from diffdrive.model.parameters import Actuator, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP

@@ -14,8 +14,10 @@ import pytest
 from diffdrive import motion
 from diffdrive.effects import actuator, forces, friction, scale, transmission
 from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.loop.costs import running_costs
+from diffdrive.loop.rollout import loop_inputs
 from diffdrive.loop.run import divergence_bound
-from diffdrive.loop.simulate import loop_inputs, running_costs, simulate
+from diffdrive.loop.simulate import simulate
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.motion import Limits

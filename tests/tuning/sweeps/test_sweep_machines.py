@@ -12,7 +12,8 @@ from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.transmission import Backlash
 from diffdrive.errors import ParameterError
-from diffdrive.loop.simulate import loop_inputs, running_costs
+from diffdrive.loop.costs import running_costs
+from diffdrive.loop.rollout import loop_inputs
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.model.quantity import Directional
