@@ -11,7 +11,9 @@ from jaxtyping import Array, Float, PyTree
 from diffdrive.axis import Axis
 from diffdrive.controllers.base import Reference
 from diffdrive.errors import LoadEstimatorWarning, ParameterError
+from diffdrive.loop import rollout as loop_rollout
 from diffdrive.loop import simulate as loop
+from diffdrive.loop import step
 from diffdrive.loop.metrics import rms, window
 from diffdrive.loop.run import Run
 from diffdrive.motion.motion import Motion
@@ -56,7 +58,7 @@ def simulate(
 
     """
     drive = checked_machine(axis, machine).drive
-    run = loop.simulate(
+    run = loop.simulate_loop(
         drive, axis.controller, motion, load, sampling=axis.sampling, limits=axis.limits, seed=seed, every=every
     )
     for note in run.notes:
@@ -144,9 +146,9 @@ def rollout(
     loads = jnp.broadcast_to(jnp.asarray(load, jnp.float64), motion.time.shape)
     signals = (motion.position, motion.velocity, motion.acceleration)
     position, velocity, acceleration = (jnp.asarray(signal, dtype=jnp.float64) for signal in signals)
-    inputs = loop.Inputs(Reference(position, velocity, acceleration), loads, jnp.zeros_like(loads))
+    inputs = step.Inputs(Reference(position, velocity, acceleration), loads, jnp.zeros_like(loads))
     key = None if seed is None else jax.random.key(seed)
-    frames: PyTree = loop.compiled_rollout(*as_arrays((drive, axis.controller)), inputs, axis.sampling, key)
+    frames: PyTree = loop_rollout.compiled_rollout(*as_arrays((drive, axis.controller)), inputs, axis.sampling, key)
     estimate = frames.estimate
     return Rollout(
         reference=position,

@@ -41,10 +41,10 @@ def running_costs(
     """Roll the loop and keep only its costs, over the samples where `counts` is 1: no memory, for many lanes.
 
     `ramp` is a load beside that of `inputs`, for lanes whose loads differ by more than a factor. `checkpoint_every`: as
-    in `rollout`. A loop whose tracking error is beyond `divergence_bound` (m; see `run.divergence_bound`) has diverged.
-    It runs in the precision of its input arrays, all of one kind; its sums are always double.
+    in `rollout_loop`. A loop whose tracking error is beyond `divergence_bound` (m; see `run.divergence_bound`) has
+    diverged. It runs in the precision of its input arrays, all of one kind; its sums are always double.
 
-    Pure, as `rollout`. Differentiable, but for the peak's and the divergence count's kinks.
+    Pure, as `rollout_loop`. Differentiable, but for the peak's and the divergence count's kinks.
     """
     require_double_precision()
     drive = stages.with_machine_effects(drive, drive.effects)

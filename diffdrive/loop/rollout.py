@@ -49,7 +49,7 @@ def scanned(
     return state, jax.tree.map(lambda some, rest: jnp.concatenate([some, rest]), frames, last)
 
 
-def rollout(
+def rollout_loop(
     drive: Drive,
     controller: Controller,
     inputs: Inputs,
@@ -88,11 +88,11 @@ def rollout(
     return lax.scan(block, begin, chunks)[1]
 
 
-compiled_rollout = eqx.filter_jit(rollout)
+compiled_rollout = eqx.filter_jit(rollout_loop)
 
 
 def loop_inputs(motion: Motion, load: np.ndarray, disturbance: np.ndarray | None = None) -> Inputs:
-    """The inputs of `rollout` from a motion, a load and a disturbance force (N, [n] each; None: no force)."""
+    """The inputs of `rollout_loop` from a motion, a load and a disturbance force (N, [n] each; None: no force)."""
     force = np.zeros(len(motion.time)) if disturbance is None else np.asarray(disturbance, float)
     signals = (motion.position, motion.velocity, motion.acceleration, np.asarray(load, float), force)
     arrays = [jnp.asarray(signal, dtype=jnp.float64) for signal in signals]

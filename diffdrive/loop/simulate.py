@@ -41,7 +41,7 @@ def _whole_number(value: object) -> int | None:
         return None
 
 
-def simulate(
+def simulate_loop(
     drive: Drive,
     controller: Controller,
     motion: Motion,

@@ -13,7 +13,7 @@ from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import ParameterError
 from diffdrive.loop import metrics
-from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import quantities
@@ -39,7 +39,7 @@ def sensitivities(axis: Axis) -> list[tuple[str, float]]:
     def gradient(models: tuple[Drive, Controller]) -> tuple[Drive, Controller]:
         def rms(models: tuple[Drive, Controller]) -> Scalar:
             drive, controller = models
-            position = rollout(drive, controller, inputs, axis.sampling).position
+            position = rollout_loop(drive, controller, inputs, axis.sampling).position
             return metrics.rms(jnp.asarray(inputs.reference.position) - position)
 
         return jax.grad(rms)(models)

@@ -115,7 +115,9 @@ def test_another_machine_is_believed_in_alike_within_a_compiled_function(axis):
 def test_a_machine_of_its_own_moves_under_what_the_axis_believes():
     machine = AXIS.replace({"plant.mass": 150.0})
     run = dd.simulate(AXIS, LAP, machine=machine)
-    ours = dd.loop.simulate.simulate(machine.drive, AXIS.controller, LAP, sampling=AXIS.sampling, limits=AXIS.limits)
+    ours = dd.loop.simulate.simulate_loop(
+        machine.drive, AXIS.controller, LAP, sampling=AXIS.sampling, limits=AXIS.limits
+    )
     np.testing.assert_array_equal(run.position, ours.position)
 
 
@@ -170,7 +172,7 @@ def test_a_result_is_saved_with_its_schema(tmp_path):
 def test_a_note_of_a_run_is_a_warning_at_the_callers_line_and_is_saved(monkeypatch, tmp_path):
     zeros = np.zeros(3)
     noted = Run(zeros, *(zeros for _ in range(9)), None, None, notes=("the load estimate drifts",))
-    monkeypatch.setattr("diffdrive.loop.simulate.simulate", lambda *_, **__: noted)
+    monkeypatch.setattr("diffdrive.loop.simulate.simulate_loop", lambda *_, **__: noted)
     with pytest.warns(LoadEstimatorWarning, match="drifts") as caught:
         run = dd.simulate(AXIS, LAP)
     assert caught[0].filename == __file__

@@ -9,7 +9,7 @@ from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import parse_axis
 from diffdrive.logs.checks.examine import Finding
 from diffdrive.logs.log import Log
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.motion.builders import from_array
 from diffdrive.motion.motion import Motion
 from diffdrive.runtime import configure
@@ -53,7 +53,7 @@ def two_sines(seconds: float = 3.0, rate: float = RATE) -> Motion:
 
 
 def simulate_log(description: Axis, reference: Motion, seed: int = 1) -> Log:
-    run = simulate(description.drive, description.controller, reference, sampling=description.sampling, seed=seed)
+    run = simulate_loop(description.drive, description.controller, reference, sampling=description.sampling, seed=seed)
     run.require_ok()
     return Log("simulated", time=run.time, position=run.position, command=run.command, reference=run.reference)
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Key, PyTree
 from diffdrive.controllers import Controller
 from diffdrive.effects.actuator import LONGEST_DELAY, LoopDelay
 from diffdrive.logs import Log
-from diffdrive.loop.rollout import rollout
+from diffdrive.loop.rollout import rollout_loop
 from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import as_arrays
@@ -156,7 +156,7 @@ def _simulated(
         begin = initial_loop_state(drive, controller, each, sampling.period)
 
         def noisy(key: Key[Array, ""]) -> PyTree:
-            frame = rollout(drive, controller, inputs, sampling, key=key, begin=begin)
+            frame = rollout_loop(drive, controller, inputs, sampling, key=key, begin=begin)
             return frame.measured, frame.command
 
         return jax.vmap(noisy)(keys)

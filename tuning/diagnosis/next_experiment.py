@@ -19,7 +19,7 @@ from diffdrive import motion as motions
 from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
 from diffdrive.errors import MotionError
-from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
 from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Sensor
 from diffdrive.motion.motion import Motion, require_within
@@ -56,7 +56,7 @@ class Experiment(NamedTuple):
     reference: Motion | None = None  # that motion, to be run
 
 
-_rollout = eqx.filter_jit(rollout)
+_rollout = eqx.filter_jit(rollout_loop)
 
 
 def next_experiment(found: Diagnosis, description: Axis) -> Experiment:

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from diffdrive import motion
 from diffdrive.controllers import Controller, UnknownController
 from diffdrive.errors import MotionError
-from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
 from diffdrive.loop.smooth import smooth
 from diffdrive.loop.step import Frame, Inputs
 from diffdrive.model.parameters import Drive, Sampling
@@ -116,7 +116,7 @@ def _rounded(value: float) -> float:
 
 @eqx.filter_jit
 def _simulated(drive: Drive, controller: Controller, inputs: Inputs, sampling: Sampling) -> Frame:
-    return jax.lax.map(lambda lane: rollout(drive, controller, lane, sampling), inputs)
+    return jax.lax.map(lambda lane: rollout_loop(drive, controller, lane, sampling), inputs)
 
 
 def propose_motions(

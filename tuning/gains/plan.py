@@ -13,7 +13,7 @@ from diffdrive.controllers import Controller
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop import metrics
 from diffdrive.loop.run import Run
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.model.quantity import quantities
 from diffdrive.motion import load
@@ -216,7 +216,9 @@ def run_scenario(
     controller: Controller, scenario: Scenario, sampling: Sampling, settle: float = SETTLE
 ) -> ScenarioResult:
     """Run a scenario on the exact (quantised, limited) simulator."""
-    run = simulate(scenario.drive, controller, scenario.motion, scenario.load, sampling=sampling, seed=scenario.seed)
+    run = simulate_loop(
+        scenario.drive, controller, scenario.motion, scenario.load, sampling=sampling, seed=scenario.seed
+    )
     part = run.between(settle, np.inf)
     missed = None
     if run.load_estimate is not None:

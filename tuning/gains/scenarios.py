@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from diffdrive.controllers import Controller
 from diffdrive.effects.stages import force_limit
 from diffdrive.errors import MotionError, ParameterError
-from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
 from diffdrive.loop.smooth import smooth
 from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive, Sampling, Sensor
@@ -60,7 +60,7 @@ class Ensemble(eqx.Module):
         """Roll every lane. Pure: for use under `jit`, `vmap` and `jacfwd`."""
 
         def lane_signals(drive: Drive, inputs: Inputs, seed: Array) -> EnsembleSignals:
-            frame = rollout(drive, controller, inputs, self.sampling, jax.random.key(seed))
+            frame = rollout_loop(drive, controller, inputs, self.sampling, jax.random.key(seed))
             late, before = slice(self.first_counted, None), slice(self.first_counted - 1, None)
             limit = force_limit(drive)
             command, load = jnp.asarray(frame.command), None if frame.estimate is None else frame.estimate.load

@@ -18,7 +18,7 @@ from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import stages
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.loop.rollout import rollout
+from diffdrive.loop.rollout import rollout_loop
 from diffdrive.loop.step import Inputs, LoopState
 from diffdrive.model.actuator import saturate, steady_state
 from diffdrive.model.friction import steepest_stribeck_slope
@@ -116,7 +116,7 @@ def replay(drive: Drive, controller: Controller, given: ReplayInputs, sampling: 
     def replay_lane(lane: ReplayInputs) -> ReplayOutput:
         inputs = Inputs(lane.reference, lane.lanes.load, lane.lanes.disturbance)
         begin = initial_loop_state(drive, controller, lane, sampling.period)
-        frame = rollout(drive, controller, inputs, sampling, begin=begin)
+        frame = rollout_loop(drive, controller, inputs, sampling, begin=begin)
         return ReplayOutput(jnp.asarray(frame.position), jnp.asarray(frame.command))
 
     return lax.map(replay_lane, given)

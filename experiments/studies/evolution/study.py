@@ -14,7 +14,7 @@ from jaxtyping import Float, PyTree
 from diffdrive.controllers import Cascade, Controller
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Drive, Sensor
 from diffdrive.model.quantity import Directional, quantities
 from diffdrive.motion.builders import staircase
@@ -218,7 +218,7 @@ def synthetic_case(speeds: Sequence[float] = SPEEDS, travel: float = 12e-3) -> E
     """That axis under a controller like that of EMPS, there and back over `travel` (m) at each speed (m/s)."""
     motion = staircase(speeds=speeds, travel=travel, acceleration=4.0, rate=emps.SAMPLING.rate)
     cascade = Cascade(kp=160.0, kv=8_500.0, velocity_samples=2)
-    run = simulate(synthetic_drive(), cascade, motion, sampling=emps.SAMPLING).require_ok()
+    run = simulate_loop(synthetic_drive(), cascade, motion, sampling=emps.SAMPLING).require_ok()
     return EvolutionCase(run.log("synthetic"), cascade, synthetic_drive())
 
 

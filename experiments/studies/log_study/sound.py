@@ -17,7 +17,7 @@ from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.effects import stages
 from diffdrive.logs.log import Log
-from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
 from diffdrive.loop.run import Run, with_status
 from diffdrive.loop.step import Inputs, LoopState, initial_state, step
 from diffdrive.model.parameters import Drive, Sampling
@@ -31,7 +31,7 @@ MASS_SPREAD, FRICTION_SPREAD = 0.03, 0.1
 MOTOR_NOISE = 3e-9  # m, of an encoder at the motor
 
 # not `simulate`, which checks for each motion whether a load estimator converges at its speeds, and compiles for that
-_rollout = eqx.filter_jit(rollout)
+_rollout = eqx.filter_jit(rollout_loop)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
-from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
 from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -43,7 +43,7 @@ def estimators(drive: Drive) -> dict[str, Controller]:
 
 @eqx.filter_jit
 def _estimate(drive: Drive, controller: Controller, inputs: Inputs) -> Float[Array, " n"] | Scalar:
-    estimate = rollout(drive, controller, inputs, paper.SAMPLING).estimate
+    estimate = rollout_loop(drive, controller, inputs, paper.SAMPLING).estimate
     assert estimate is not None
     assert estimate.load is not None
     return estimate.load

@@ -14,7 +14,7 @@ from diffdrive.controllers import Controller, Feedforward, FrictionCompensation,
 from diffdrive.controllers.base import PDGains
 from diffdrive.loop.convergence import convergence_gains, time_constants
 from diffdrive.loop.run import Run
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.friction import coulomb, deflection_after, friction_force, lugre_coefficients, steady_friction
 from diffdrive.model.parameters import Drive, Friction
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -66,7 +66,9 @@ def table_1(drive: Drive, scenario: paper.PaperScenario) -> dict[str, Run]:
     """Every controller over the canonical scenario."""
     runs = {}
     for name, controller in paper.controllers(drive).items():
-        run = simulate(drive, controller, scenario.motion, scenario.load, sampling=paper.SAMPLING, limits=paper.LIMITS)
+        run = simulate_loop(
+            drive, controller, scenario.motion, scenario.load, sampling=paper.SAMPLING, limits=paper.LIMITS
+        )
         runs[name] = run.require_ok()
     return runs
 
@@ -136,7 +138,8 @@ def unloaded_experiment(drive: Drive) -> dict[str, Run]:
     names = ("DOBVSC", "PD+FF+DOB", "PD+FC")
     controllers = paper.controllers(drive)
     return {
-        name: simulate(drive, controllers[name], back_and_forth, sampling=paper.SAMPLING).require_ok() for name in names
+        name: simulate_loop(drive, controllers[name], back_and_forth, sampling=paper.SAMPLING).require_ok()
+        for name in names
     }
 
 
@@ -157,7 +160,7 @@ def loaded_experiment(
         "PD+FC+LS": FrictionCompensation(tracking, LoadStateObserver(plant, friction)),
     }
     return {
-        name: simulate(drive, controller, to_and_fro, rippled, sampling=paper.SAMPLING).require_ok()
+        name: simulate_loop(drive, controller, to_and_fro, rippled, sampling=paper.SAMPLING).require_ok()
         for name, controller in loops.items()
     }
 

@@ -13,7 +13,7 @@ from diffdrive.axis_file.drive_file import axis_tables, parse_axis
 from diffdrive.controllers import KINDS
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import DiffdriveError, DriveFileError, LoadEstimatorWarning
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.presets import paper_drive
 from diffdrive.model.quantity import quantities
 
@@ -90,7 +90,7 @@ def outcome(tables):
         move = motions.sine(amplitude=1e-5, frequency=rate / 100.0, duration=200.0 / rate, rate=rate)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LoadEstimatorWarning)
-            run = simulate(
+            run = simulate_loop(
                 description.drive, description.controller, move, sampling=description.sampling,
                 limits=description.limits,
             )  # fmt: skip

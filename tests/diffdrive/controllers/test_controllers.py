@@ -25,9 +25,9 @@ from diffdrive.controllers import (
 )
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects import ForceLimit, ScaleEffect
-from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
 from diffdrive.loop.run import Run
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Actuator, Sampling, Sensor
@@ -51,7 +51,7 @@ SETTLED = np.flatnonzero(np.isclose(MOVE.velocity, 0.01, rtol=1e-9))[-1]  # at t
 
 
 def run_of(controller, drive=IDEAL, **options) -> Run:
-    return simulate(drive, controller, MOVE, **options).require_ok()
+    return simulate_loop(drive, controller, MOVE, **options).require_ok()
 
 
 def fed_forward(run: Run) -> np.ndarray:
@@ -101,7 +101,7 @@ def heavier_of(controller, feedforward):
 def test_static_errors_of_the_paper_s_pd():
     motion = motions.staircase(speeds=[0.01], travel=5e-3, acceleration=1.0, rate=RATE, dwell=0.0)
     for load, positive, negative in ((0.0, 11.411e-6, -11.262e-6), (10e3, 11.870e-6, -11.721e-6)):
-        run = simulate(IDEAL, PD(Tracking(PDGains(PAPER_KP, PAPER_KD))), motion, load)
+        run = simulate_loop(IDEAL, PD(Tracking(PDGains(PAPER_KP, PAPER_KD))), motion, load)
         middle = [np.argmin(np.abs(motion.time - share * motion.duration)) for share in (0.45, 0.95)]
         assert run.error[middle] == pytest.approx([positive, negative], abs=1e-9)
 
@@ -121,7 +121,7 @@ def test_cascade_is_its_formula(samples, ki):
 def test_the_cascade_s_integral_holds_a_constant_force_without_error():
     leaning = dataclasses.replace(IDEAL, plant=dataclasses.replace(IDEAL.plant, constant_force=-50.0))
     still = motions.from_array(np.arange(10_000) / RATE, np.zeros(10_000))
-    run = simulate(leaning, Cascade(kp=100.0, kv=3e4, ki=3e6), still)
+    run = simulate_loop(leaning, Cascade(kp=100.0, kv=3e4, ki=3e6), still)
     assert abs(run.error[-1]) < 1e-9
     assert run.command[-1] - run.friction[-1] == pytest.approx(50.0, rel=1e-3)
 
@@ -265,7 +265,7 @@ def test_lanes_over_load_mass_and_seed_equal_single_runs():
         drive = eqx.tree_at(lambda d: d.plant.mass, as_arrays(noisy), mass)
         inputs = loop_inputs(MOVE, np.zeros(N))
         inputs = inputs._replace(load=jnp.full(N, load))
-        frame = rollout(drive, controller, inputs, Sampling(), jax.random.key(seed))
+        frame = rollout_loop(drive, controller, inputs, Sampling(), jax.random.key(seed))
         return frame.position, frame.command
 
     positions, commands = jax.jit(jax.vmap(lane))(loads, masses, seeds)

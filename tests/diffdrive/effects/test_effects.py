@@ -26,8 +26,8 @@ from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import DriveFileError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.loop.linearise import OperatingPoint, open_loop, response
-from diffdrive.loop.rollout import compiled_rollout, loop_inputs, rollout
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.rollout import compiled_rollout, loop_inputs, rollout_loop
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Sampling, Sensor, check_drive
 from diffdrive.model.plant import advance, at_rest
@@ -137,7 +137,7 @@ def test_derivatives_are_those_of_differences(effect):
 
     def cost(values):
         changed = eqx.tree_at(lambda d: d.effects, machine, jax.tree.unflatten(tree, list(values)))
-        frame = rollout(changed, as_arrays(CONTROLLER), INPUTS, Sampling(rate=RATE, substeps=5))
+        frame = rollout_loop(changed, as_arrays(CONTROLLER), INPUTS, Sampling(rate=RATE, substeps=5))
         return jnp.sqrt(jnp.mean((1e6 * (INPUTS.reference.position - frame.measured)) ** 2))
 
     @jax.jit  # one program for the points and for the derivatives
@@ -173,7 +173,7 @@ def test_derivatives_at_the_default_are_those_of_differences_ahead(effect):
 
     def signal(values):
         changed = eqx.tree_at(lambda d: d.effects, machine, jax.tree.unflatten(tree, list(values)))
-        return rollout(changed, as_arrays(CONTROLLER), INPUTS, Sampling(rate=RATE, substeps=5)).measured
+        return rollout_loop(changed, as_arrays(CONTROLLER), INPUTS, Sampling(rate=RATE, substeps=5)).measured
 
     @jax.jit
     def along(points, directions):
@@ -271,7 +271,7 @@ def test_the_friction_recorded_is_that_which_acts():
     """A force balance: what accelerates the table is the force less damping and the friction recorded."""
     drive = with_effects(PositionFriction(0.0, 0.0, 0.02, 0.3, 0.0))
     fast = triangular(speed=0.1, stroke=0.0375, rounding=0.05, duration=0.4, rate=RATE)
-    frame = rollout(*as_arrays((drive, CONTROLLER)), loop_inputs(fast, np.zeros(len(fast.time))), SAMPLING)
+    frame = rollout_loop(*as_arrays((drive, CONTROLLER)), loop_inputs(fast, np.zeros(len(fast.time))), SAMPLING)
     speed, friction = np.asarray(frame.velocity), np.asarray(frame.friction)
     resisting = friction + float(drive.plant.damping.positive) * speed
     halfway = 0.5 * (resisting[1:] + resisting[:-1])
@@ -431,7 +431,7 @@ def _complete():
 
 def test_a_parameter_out_of_its_range_is_named():
     with pytest.raises(ParameterError, match=r"effects\.compliance\.motor_share must be above 0"):
-        simulate(with_effects(Compliance(150.0, 0.05, -0.3, 0.6)), CONTROLLER, MOTION, sampling=SAMPLING)
+        simulate_loop(with_effects(Compliance(150.0, 0.05, -0.3, 0.6)), CONTROLLER, MOTION, sampling=SAMPLING)
 
 
 def test_identification_refuses_a_drive_with_effects():

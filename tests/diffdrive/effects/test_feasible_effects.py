@@ -15,7 +15,7 @@ from diffdrive.effects.base import Envelope
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.feasibility import require_feasible
 from diffdrive.errors import DriveFileError, MotionError, ParameterError
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.model.quantity import quantities
@@ -100,7 +100,7 @@ def test_a_drive_file_with_an_impossible_effect_is_refused_by_name():
 
 def test_a_run_with_an_impossible_effect_is_refused_by_name():
     with pytest.raises(ParameterError, match=r"^effects\.position_friction: it takes 200 % of the Coulomb"):
-        simulate(having("position_friction", {"slope": -1e4}), CONTROLLER, MOVE)
+        simulate_loop(having("position_friction", {"slope": -1e4}), CONTROLLER, MOVE)
 
 
 STRANGE = [0.0, -1.0, 1e-300, -1e-300, 1e-12, 1e12, -1e12, 1e300, -1e300]
@@ -136,20 +136,20 @@ def test_every_parameter_of_every_effect_at_strange_values_is_judged_in_numbers(
 )
 def test_a_run_that_an_effect_makes_diverge_blames_the_effect_and_not_the_gains(effects, blamed):
     drive = dataclasses.replace(DRIVE, effects=tuple(EFFECTS[name](**values) for name, values in effects.items()))
-    status = simulate(drive, CONTROLLER, MOVE).status
+    status = simulate_loop(drive, CONTROLLER, MOVE).status
     assert not status.ok
     assert status.message.endswith(f": without effects.{blamed} it stays within them; check the units there")
 
 
 def test_gains_are_blamed_where_they_fail_without_the_effects_too():
     wild = PD(paper_tracking(DRIVE, 1e12, PAPER_KD))
-    status = simulate(having("constant_force", {"force": 1.0}), wild, MOVE).status
+    status = simulate_loop(having("constant_force", {"force": 1.0}), wild, MOVE).status
     assert "the loop is unstable with these gains" in status.message
 
 
 def test_a_load_whose_rounding_moves_the_table_is_refused():
     with pytest.raises(MotionError, match=r"^under a load of 1e\+300 N the rounding of the friction.* check the units"):
-        simulate(DRIVE, CONTROLLER, MOVE, load=1e300)
+        simulate_loop(DRIVE, CONTROLLER, MOVE, load=1e300)
 
 
 def test_an_impossible_machine_of_a_sweep_is_named_before_any_runs():

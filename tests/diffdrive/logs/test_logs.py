@@ -23,7 +23,7 @@ from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs import ColumnMapping, Log, Table, read_log, read_logs, register_format, write_log
 from diffdrive.logs.formats import registry
 from diffdrive.logs.log import CHANNELS
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion.motion import Limits
@@ -131,7 +131,7 @@ def test_what_cannot_be_written_is_refused(tmp_path):
 @pytest.fixture(scope="module")
 def run():
     move = motion.triangular(speed=0.01, stroke=0.0015, rounding=0.1, duration=0.05, rate=10_000.0)
-    return simulate(
+    return simulate_loop(
         paper_drive(), PD(Tracking(PDGains(PAPER_KP, PAPER_KD))), move, load=500.0 * jnp.ones(len(move.time))
     )
 

@@ -25,7 +25,7 @@ from diffdrive.controllers import (
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import DivergenceError, MotionError, ParameterError, PrecisionError, ResultError
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Actuator, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.model.quantity import directional
@@ -95,13 +95,13 @@ PARAMETERS = {
 @pytest.mark.parametrize(("place", "value", "says"), PARAMETERS.values(), ids=PARAMETERS.keys())
 def test_a_bad_drive_is_refused(place, value, says):
     with pytest.raises(ParameterError, match=says):
-        simulate(having(place, value), pd(), MOVE)
+        simulate_loop(having(place, value), pd(), MOVE)
 
 
 def test_every_bad_parameter_is_named_at_once():
     bad = having(lambda d: (d.plant.mass, d.sensor.noise), (-1.0, NAN))
     with pytest.raises(ParameterError, match=r"plant\.mass.*; sensor\.noise"):
-        simulate(bad, pd(), MOVE)
+        simulate_loop(bad, pd(), MOVE)
 
 
 def _dob(**changes):
@@ -139,7 +139,7 @@ CONTROLLERS = {
 @pytest.mark.parametrize(("build", "says"), CONTROLLERS.values(), ids=CONTROLLERS.keys())
 def test_a_bad_controller_is_refused(build, says):
     with pytest.raises(ParameterError, match=says):
-        simulate(DRIVE, build(), MOVE)
+        simulate_loop(DRIVE, build(), MOVE)
 
 
 @pytest.mark.parametrize(
@@ -202,14 +202,14 @@ REQUESTS = {
 @pytest.mark.parametrize(("arguments", "error", "says"), REQUESTS.values(), ids=REQUESTS.keys())
 def test_a_bad_request_is_refused(arguments, error, says):
     with pytest.raises(error, match=says):
-        simulate(DRIVE, pd(), **({"motion": MOVE} | arguments))
+        simulate_loop(DRIVE, pd(), **({"motion": MOVE} | arguments))
 
 
 def test_whole_numbers_of_numpy_are_whole_numbers():
     noisy = having(lambda d: d.sensor, Sensor(noise=1e-8))
     run, same = (
-        simulate(noisy, pd(), MOVE, seed=3, every=2),
-        simulate(noisy, pd(), MOVE, seed=np.int64(3), every=np.int8(2)),
+        simulate_loop(noisy, pd(), MOVE, seed=3, every=2),
+        simulate_loop(noisy, pd(), MOVE, seed=np.int64(3), every=np.int8(2)),
     )
     np.testing.assert_array_equal(same.position, run.position)
 
@@ -231,7 +231,7 @@ def test_single_precision_is_refused():
     jax.config.update("jax_enable_x64", False)
     try:
         with pytest.raises(PrecisionError, match=r"double precision.*jax_enable_x64"):
-            simulate(DRIVE, pd(), MOVE)
+            simulate_loop(DRIVE, pd(), MOVE)
     finally:
         jax.config.update("jax_enable_x64", True)
 
@@ -265,7 +265,7 @@ def no_warnings():
 @pytest.mark.parametrize(("drive", "controller"), UNSTABLE.values(), ids=UNSTABLE.keys())
 def test_an_unstable_loop_is_a_status_that_names_signal_and_time(drive, controller):
     with no_warnings():
-        run = simulate(drive, controller, MOVE)
+        run = simulate_loop(drive, controller, MOVE)
     status = run.status
     assert not status.ok
     assert status.signal in ("tracking error", "command", "friction estimate", "load estimate", "velocity")
@@ -283,7 +283,7 @@ def test_an_unstable_loop_is_a_status_that_names_signal_and_time(drive, controll
 
 
 def test_a_stable_loop_is_ok_up_to_its_known_limit():
-    run = simulate(DELAYED, pd(kd=20 * PAPER_KD), MOVE)  # 0.8 of the limit above
+    run = simulate_loop(DELAYED, pd(kd=20 * PAPER_KD), MOVE)  # 0.8 of the limit above
     assert run.status.ok
     assert run.require_ok() is run
     assert run.peak_error() < 20e-6
@@ -291,7 +291,7 @@ def test_a_stable_loop_is_ok_up_to_its_known_limit():
 
 def test_an_axis_too_weak_for_its_friction_stands_still_within_its_limit():
     with no_warnings():
-        run = simulate(having(lambda d: d.actuator, Actuator(force_limit=10.0)), pd(), MOVE)
+        run = simulate_loop(having(lambda d: d.actuator, Actuator(force_limit=10.0)), pd(), MOVE)
     assert np.max(np.abs(run.force)) == 10.0
     assert np.max(np.abs(run.table_position)) < 1e-6  # the bristles give 10 N / 33.5 N/um
     assert run.peak_error() == pytest.approx(2e-3, rel=1e-3)
@@ -305,14 +305,14 @@ def test_an_axis_too_weak_for_its_friction_stands_still_within_its_limit():
 def test_an_axis_too_weak_for_its_weight_is_said_to_be_so():
     weak = having(lambda d: (d.actuator, d.plant.constant_force), (Actuator(force_limit=10.0), -1e3))
     with no_warnings():
-        run = simulate(weak, pd(), MOVE)
+        run = simulate_loop(weak, pd(), MOVE)
     assert not run.status.ok
     assert "the force sits at its limit of 10 N; raise force_limit" in run.status.message
 
 
 def test_a_load_of_a_giganewton_still_gives_finite_numbers():
     with no_warnings():
-        run = simulate(DRIVE, pd(), MOVE, load=1e9)
+        run = simulate_loop(DRIVE, pd(), MOVE, load=1e9)
     for signal in (run.table_position, run.velocity, run.command, run.force, run.friction):
         assert np.all(np.isfinite(signal))
     assert run.status.ok
@@ -323,4 +323,4 @@ def test_a_drive_whose_controller_is_unknown_can_be_read_but_not_simulated():
     from diffdrive.controllers import UnknownController
 
     with pytest.raises(ParameterError, match="controller is 'unknown': to simulate its loop"):
-        simulate(paper_drive(), UnknownController(), MOVE)
+        simulate_loop(paper_drive(), UnknownController(), MOVE)

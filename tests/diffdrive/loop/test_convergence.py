@@ -19,7 +19,7 @@ from diffdrive.loop.convergence import (
     steady_covariance,
     time_constants,
 )
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.friction import lugre_coefficients, steady_friction
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from diffdrive.model.transition import state_matrices
@@ -183,7 +183,9 @@ def test_every_steady_friction_error_ends_in_the_load(drive, speed, part, name, 
     observer = KalmanObserver(plant, friction, TUNINGS[1], InnovationLoad(min_speed=2e-3, gain=200.0))
     time = np.arange(10_001) * PERIOD
     steady = motion.from_array(time, speed * np.where(time < 0.1, time**2 / 0.2, time - 0.05))
-    run = simulate(drive, FrictionCompensation(paper_tracking(drive, PAPER_KP, PAPER_KD), observer), steady, weight)
+    run = simulate_loop(
+        drive, FrictionCompensation(paper_tracking(drive, PAPER_KP, PAPER_KD), observer), steady, weight
+    )
     expected = weight + newtons / 3.66e-4
     np.testing.assert_allclose(run.load_estimate[-100:], expected, rtol=1e-3)
     np.testing.assert_allclose(run.load_estimate[-100:] - weight, newtons / 3.66e-4, rtol=1e-3, atol=0.1)

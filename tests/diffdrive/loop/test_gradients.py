@@ -21,7 +21,7 @@ from diffdrive.controllers import (
 )
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.loop import metrics
-from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -76,7 +76,7 @@ def of_parameters(drive, controller):
 
     def error(logarithms, values, inputs):
         drive, controller = restore(values * jnp.exp(logarithms))
-        frames = rollout(drive, controller, inputs, Sampling(substeps=2), jax.random.key(0))
+        frames = rollout_loop(drive, controller, inputs, Sampling(substeps=2), jax.random.key(0))
         return metrics.rms(inputs.reference.position - frames.position)
 
     return error, values
@@ -199,7 +199,7 @@ def test_a_quantised_loop_has_the_derivative_of_the_smooth_one():
 
 def test_the_force_limit_is_reached():
     for drive in (LIMITED, smooth(LIMITED)):
-        frames = rollout(*as_arrays((drive, CONTROLLERS[LIMITED_PD])), reversing(), Sampling(substeps=2))
+        frames = rollout_loop(*as_arrays((drive, CONTROLLERS[LIMITED_PD])), reversing(), Sampling(substeps=2))
         assert np.mean(np.abs(frames.force) > 97.0) > 0.05
         assert np.mean(np.abs(frames.command) > 110.0) > 0.05
 
@@ -212,7 +212,9 @@ def by_the_gain(kept, every):
 
     def cost(kp):
         tuned = eqx.tree_at(lambda c: c.tracking.gains.kp, controller, kp)
-        frames = rollout(drive, tuned, inputs, Sampling(substeps=1), jax.random.key(0), every, checkpoint_every=kept)
+        frames = rollout_loop(
+            drive, tuned, inputs, Sampling(substeps=1), jax.random.key(0), every, checkpoint_every=kept
+        )
         wanted = inputs.reference.position[: len(frames.position) * every : every]
         return metrics.rms(wanted - frames.position)
 

@@ -20,7 +20,7 @@ from diffdrive.controllers import (
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.loop.costs import running_costs
-from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
 from diffdrive.loop.smooth import smooth
 from diffdrive.loop.step import initial_state, step
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
@@ -72,7 +72,7 @@ def is_hoisted(function, *args):
 def test_one_lane_is_one_kernel(name, machine):
     drive, controller = as_arrays((DRIVES[machine], CONTROLLERS[name]))
     key = key_for(DRIVES[machine])
-    assert is_hoisted(lambda d, c, i: rollout(d, c, i, Sampling(), key), drive, controller, inputs())
+    assert is_hoisted(lambda d, c, i: rollout_loop(d, c, i, Sampling(), key), drive, controller, inputs())
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
@@ -89,7 +89,7 @@ def test_many_imperfect_lanes_are_one_kernel():
     lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (LANES,)), controller)
 
     def roll(drive, controller, key, inputs):
-        return rollout(drive, controller, inputs, Sampling(), key).position
+        return rollout_loop(drive, controller, inputs, Sampling(), key).position
 
     keys = jax.random.split(jax.random.key(0), LANES)
     assert is_hoisted(jax.vmap(roll, in_axes=(None, 0, 0, None)), drive, lanes, keys, inputs())
@@ -97,7 +97,7 @@ def test_many_imperfect_lanes_are_one_kernel():
 
 def test_decimated_recording_is_one_kernel():
     drive, controller = as_arrays((PAPER, CONTROLLERS["PD+FC+LS"]))
-    assert is_hoisted(lambda d, c, i: rollout(d, c, i, Sampling(), every=5), drive, controller, inputs())
+    assert is_hoisted(lambda d, c, i: rollout_loop(d, c, i, Sampling(), every=5), drive, controller, inputs())
 
 
 def test_the_guard_sees_a_loop_that_is_no_kernel():

@@ -13,7 +13,7 @@ from diffdrive.controllers import PD, Reference
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.loop.linearise import OpenLoop, OperatingPoint, open_loop
 from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins, margins
-from diffdrive.loop.rollout import rollout
+from diffdrive.loop.rollout import rollout_loop
 from diffdrive.loop.step import Inputs, initial_state
 from diffdrive.model.friction import steady_friction, stribeck_level
 from diffdrive.model.parameters import Drive, Plant, Sampling
@@ -170,7 +170,7 @@ def pushed_pd(velocity, load, seconds):
         reference = Reference(way + force / (factor * PAPER_KP), jnp.full(steps, velocity), jnp.zeros(steps))
         push = jnp.zeros(steps).at[0].set(1e-3)
         inputs = Inputs(reference, jnp.full(steps, load), push)
-        return rollout(drive, controller, inputs, Sampling(), begin=begin).position - way
+        return rollout_loop(drive, controller, inputs, Sampling(), begin=begin).position - way
 
     return run
 

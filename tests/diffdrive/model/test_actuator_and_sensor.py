@@ -13,7 +13,7 @@ from diffdrive import motion as motions
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.loop.run import Run
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model import actuator, sensor
 from diffdrive.model.parameters import Actuator, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -26,7 +26,7 @@ N = len(MOVE.time)
 
 
 def run_of(drive=IDEAL, **options) -> Run:
-    return simulate(drive, PAPER_PD, MOVE, **options).require_ok()
+    return simulate_loop(drive, PAPER_PD, MOVE, **options).require_ok()
 
 
 # --- actuator ---------------------------------------------------------------------------------------------------------

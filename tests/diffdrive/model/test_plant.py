@@ -17,8 +17,8 @@ from diffdrive import motion
 from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.effects.friction import PositionFriction
 from diffdrive.errors import ParameterError
-from diffdrive.loop.rollout import loop_inputs, rollout
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Drive, Friction, Plant, Sampling
 from diffdrive.model.plant import PlantState, advance
@@ -213,7 +213,7 @@ STATIC_ERRORS = [(0.01, 0.0, 11.411e-6), (0.01, 1e4, 11.870e-6), (-0.01, 0.0, -1
 def test_static_errors_of_pd(drive, speed, load, error):
     time = np.arange(5001) * PERIOD
     ramp = motion.from_array(time, speed * np.where(time < 0.1, time**2 / 0.2, time - 0.05))
-    run = simulate(drive, PD(Tracking(PDGains(PAPER_KP, PAPER_KD))), ramp, load)
+    run = simulate_loop(drive, PD(Tracking(PDGains(PAPER_KP, PAPER_KD))), ramp, load)
     np.testing.assert_allclose(run.error[-100:], error, rtol=1e-4)
 
 
@@ -243,7 +243,7 @@ def test_mirrored_motion_gives_the_mirrored_result(drive):
     pd = PD(Tracking(PDGains(PAPER_KP, PAPER_KD)))
     there = motion.sine(amplitude=3e-4, frequency=5.0, duration=0.4, rate=1e4)
     back = replace(there, position=-there.position, velocity=-there.velocity, acceleration=-there.acceleration)
-    run, mirrored = simulate(symmetric, pd, there, LOAD), simulate(symmetric, pd, back, LOAD)
+    run, mirrored = simulate_loop(symmetric, pd, there, LOAD), simulate_loop(symmetric, pd, back, LOAD)
     for signal in ("table_position", "velocity", "command", "friction"):
         a, b = getattr(run, signal), getattr(mirrored, signal)
         np.testing.assert_allclose(a, -b, atol=1e-12 * np.abs(a).max())
@@ -258,14 +258,14 @@ def test_a_friction_level_below_zero_is_no_friction(drive, velocity):
 
 
 def test_a_motion_into_such_a_friction_is_refused_or_no_number(drive):
-    """`simulate` says so before it begins; the pure function, which cannot look at what it is given, has no number."""
+    """`simulate_loop` says so before it begins; the pure function, which cannot look at its input, has no number."""
     along = replace(drive, effects=(PositionFriction(slope=-20.0),))
     pd = PD(Tracking(PDGains(PAPER_KP, PAPER_KD)))
     reference = motion.triangular(speed=0.2, stroke=0.09, rounding=0.1, duration=1.0, rate=10_000.0)
     with pytest.raises(ParameterError, match="it takes 180 % of the Coulomb friction off at some place"):
-        simulate(along, pd, reference)
+        simulate_loop(along, pd, reference)
     inputs = loop_inputs(reference, np.zeros(len(reference.time)))
-    position = np.asarray(rollout(*as_arrays((along, pd)), inputs, Sampling()).position)
+    position = np.asarray(rollout_loop(*as_arrays((along, pd)), inputs, Sampling()).position)
     reached = np.isfinite(position)
     assert reached[0]
     assert not reached[-1]

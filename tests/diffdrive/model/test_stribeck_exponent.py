@@ -13,8 +13,8 @@ from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.effects.machine import FrictionShape
 from diffdrive.errors import DriveFileError
 from diffdrive.loop import metrics
-from diffdrive.loop.rollout import loop_inputs, rollout
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.friction import steady_friction, steepest_stribeck_slope
 from diffdrive.model.parameters import Sampling
@@ -79,7 +79,7 @@ def there_and_back():
 
 
 def test_an_exponent_of_one_is_the_papers_curve():
-    one, none = (simulate(drive, CONTROLLER, there_and_back()) for drive in (curved(1.0), ASYMMETRIC))
+    one, none = (simulate_loop(drive, CONTROLLER, there_and_back()) for drive in (curved(1.0), ASYMMETRIC))
     np.testing.assert_allclose(one.position, none.position, rtol=0, atol=1e-15)
 
 
@@ -93,8 +93,8 @@ def test_it_moves_as_the_truth_machine_does(exponent):
     loads = jnp.zeros(len(reference.position))
     arguments = (jnp.asarray(reference.position), loads, jnp.zeros(()), jax.random.key(0))
     table = jax.jit(lambda d, g: run(d, g, *arguments, rate=1e4))(*as_arrays((drive, CONTROLLER.tracking.gains)))
-    ours = simulate(drive, CONTROLLER, reference)
-    other = simulate(level, CONTROLLER, reference)
+    ours = simulate_loop(drive, CONTROLLER, reference)
+    other = simulate_loop(level, CONTROLLER, reference)
     off = np.abs(ours.position - np.asarray(table.table)).max()
     assert off < 2e-9
     assert off < 0.02 * np.abs(ours.position - other.position).max()
@@ -123,7 +123,7 @@ def test_the_error_of_a_whole_motion_by_the_exponent(exponent):
 
     @jax.jit
     def error(exponent):
-        frames = rollout(smooth(curved(exponent)), CONTROLLER, inputs, Sampling(), jax.random.key(0))
+        frames = rollout_loop(smooth(curved(exponent)), CONTROLLER, inputs, Sampling(), jax.random.key(0))
         return metrics.rms(inputs.reference.position - frames.position)
 
     h = 1e-4
@@ -137,8 +137,10 @@ def test_a_friction_shape_changes_the_exponent_that_there_is():
     inputs = there_and_back()
     for before in (None, 2.0):
         shaped = replace(curved(before), effects=(FrictionShape(stribeck_exponent=np.log(1.5)),))
-        expected = simulate(curved(1.5 * (before or 1.0)), CONTROLLER, inputs)
-        np.testing.assert_allclose(simulate(shaped, CONTROLLER, inputs).position, expected.position, rtol=0, atol=1e-13)
+        expected = simulate_loop(curved(1.5 * (before or 1.0)), CONTROLLER, inputs)
+        np.testing.assert_allclose(
+            simulate_loop(shaped, CONTROLLER, inputs).position, expected.position, rtol=0, atol=1e-13
+        )
 
 
 def test_a_friction_shape_without_one_asks_for_no_power():

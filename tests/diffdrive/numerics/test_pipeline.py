@@ -12,8 +12,8 @@ from diffdrive.controllers import PD, Cascade
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import ParameterError
 from diffdrive.loop.linearise import OperatingPoint, open_loop
-from diffdrive.loop.rollout import loop_inputs, rollout
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model import actuator
 from diffdrive.model.parameters import Actuator, Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -30,7 +30,7 @@ LATE = dataclasses.replace(DRIVE, actuator=Actuator(delay_samples=3))
 def test_a_long_pipeline_gives_the_numbers_of_a_short_one(controller, monkeypatch):
     def position():
         inputs = loop_inputs(MOVE, np.zeros(len(MOVE.time)))
-        return np.asarray(jax.jit(lambda: rollout(*as_arrays((LATE, controller)), inputs, Sampling()).position)())
+        return np.asarray(jax.jit(lambda: rollout_loop(*as_arrays((LATE, controller)), inputs, Sampling()).position)())
 
     short = position()
     monkeypatch.setattr(pipeline, "LONGEST_TUPLE", 0)
@@ -53,9 +53,9 @@ def test_a_force_arrives_after_as_many_samples(count):
 @pytest.mark.parametrize("count", [len(MOVE.time), 10**9, 10**30])
 def test_what_is_as_long_as_the_motion_is_refused(count):
     with pytest.raises(ParameterError, match=r"actuator\.delay_samples of .* samples is as long as the motion"):
-        simulate(dataclasses.replace(DRIVE, actuator=Actuator(delay_samples=count)), TRACKING, MOVE)
+        simulate_loop(dataclasses.replace(DRIVE, actuator=Actuator(delay_samples=count)), TRACKING, MOVE)
     with pytest.raises(ParameterError, match=r"controller\.velocity_samples of .* nothing comes out of it"):
-        simulate(DRIVE, Cascade(kp=50.0, kv=1e4, velocity_samples=count), MOVE)
+        simulate_loop(DRIVE, Cascade(kp=50.0, kv=1e4, velocity_samples=count), MOVE)
 
 
 def test_a_loop_of_too_many_states_is_refused_before_its_matrix_is_made():
@@ -67,11 +67,11 @@ def test_a_loop_of_too_many_states_is_refused_before_its_matrix_is_made():
 def test_a_run_that_does_not_fit_is_refused_before_it_begins(monkeypatch):
     monkeypatch.setattr("diffdrive.support.resources.memory_available", lambda: 1e5)
     with pytest.raises(ParameterError, match=r"a run of .* samples would take about 194 kB of memory, and 100 kB"):
-        simulate(DRIVE, TRACKING, MOVE)
-    assert simulate(DRIVE, TRACKING, MOVE, every=100).status.ok
+        simulate_loop(DRIVE, TRACKING, MOVE)
+    assert simulate_loop(DRIVE, TRACKING, MOVE, every=100).status.ok
 
 
 @pytest.mark.parametrize("seed", [10**22, -(10**22), 2**63])
 def test_a_seed_of_more_than_64_bits_is_refused(seed):
     with pytest.raises(ParameterError, match="seed must be a whole number of 64 bits"):
-        simulate(DRIVE, TRACKING, MOVE, seed=seed)
+        simulate_loop(DRIVE, TRACKING, MOVE, seed=seed)

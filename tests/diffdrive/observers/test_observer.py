@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from diffdrive import motion
 from diffdrive.controllers import PD, FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
-from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load
@@ -89,7 +89,7 @@ def log():
     there = motion.triangular(speed=0.01, stroke=0.0008, rounding=0.04, duration=0.2, rate=1e4)
     weight = load.ramp(there.time, start=0.02, end=0.15, to=5e3)
     pd = PD(paper_tracking(drive, PAPER_KP, PAPER_KD))
-    frames = rollout(*as_arrays((drive, pd)), loop_inputs(there, weight), Sampling())
+    frames = rollout_loop(*as_arrays((drive, pd)), loop_inputs(there, weight), Sampling())
     assert np.ptp(np.sign(frames.velocity)) == 2
     force = np.concatenate([[0.0], frames.force])[:2000]
     return force, np.asarray(frames.measured)[:2000]
@@ -208,4 +208,4 @@ def test_a_matched_model_is_not_surprised_at_constant_speed(drive, observer, spe
     np.testing.assert_allclose(frames.estimate.velocity[-500:], speed, rtol=1e-6)
 
 
-roll = jax.jit(lambda drive, controller, inputs: rollout(drive, controller, inputs, Sampling()))
+roll = jax.jit(lambda drive, controller, inputs: rollout_loop(drive, controller, inputs, Sampling()))

@@ -9,7 +9,7 @@ import pytest
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import DiffdriveError, ParameterError
-from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
 from diffdrive.model.parameters import Actuator, Drive
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.model.quantity import Directional
@@ -20,7 +20,7 @@ from experiments.studies.paper import scenario as paper
 
 SCENARIO = paper.canonical()
 REFERENCE = np.stack([SCENARIO.motion.position, SCENARIO.motion.velocity, SCENARIO.motion.acceleration])
-ROLLOUT = eqx.filter_jit(rollout)
+ROLLOUT = eqx.filter_jit(rollout_loop)
 
 
 def asymmetric_drive(quantised):

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from diffdrive.axis_file.drive_file import read_axis
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from experiments.reports.identification.forest import forest
 from experiments.reports.identification.identification import _hardly_determined
 from experiments.studies.demo import PAPER_DRIVE
@@ -26,7 +26,7 @@ MOTION = concatenate([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05
 
 def test_friction_along_a_motion_is_that_of_the_simulation():
     drive = TRUE.drive
-    run = simulate(drive, TRUE.controller, MOTION, sampling=TRUE.sampling, seed=None)
+    run = simulate_loop(drive, TRUE.controller, MOTION, sampling=TRUE.sampling, seed=None)
     found = modelled_friction(drive, run.log(), run.velocity)
     damping = np.where(run.velocity >= 0, drive.plant.damping.positive, drive.plant.damping.negative) * run.velocity
     assert np.sqrt(np.mean((found - run.friction - damping) ** 2)) < 0.5  # of 100 N

@@ -9,8 +9,8 @@ import pytest
 from diffdrive import motion
 from diffdrive.controllers import FrictionCompensation
 from diffdrive.controllers.base import paper_tracking
-from diffdrive.loop.rollout import loop_inputs, rollout
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.motion import load
@@ -35,7 +35,7 @@ HALF_A_DIGIT = 0.0005
 def run_all(quantised):
     drive, scenario = paper_drive(quantised=quantised), canonical()
     loops = controllers(drive)
-    return {name: simulate(drive, loops[name], scenario.motion, scenario.load).require_ok() for name in NOTES}
+    return {name: simulate_loop(drive, loops[name], scenario.motion, scenario.load).require_ok() for name in NOTES}
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ SPEEDS = (0.001, 0.003, 0.010, 0.015, 0.020, 0.040, 0.100)
 
 @jax.jit
 def roll(drive, controller, inputs):
-    return rollout(drive, controller, inputs, Sampling()).estimate.load
+    return rollout_loop(drive, controller, inputs, Sampling()).estimate.load
 
 
 def load_error_at(speed, observer, quantised):

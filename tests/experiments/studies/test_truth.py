@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from diffdrive import motion
 from diffdrive.controllers import PD, PDGains, Tracking
 from diffdrive.errors import DivergenceError, ParameterError
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Actuator, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from diffdrive.numerics.arrays import as_arrays
@@ -117,7 +117,7 @@ def test_it_agrees_with_the_simulator():
     )
     assert 0.4 < reference.duration < 0.55
     # level, since the simulator begins with no force and a relaxed bristle
-    theirs = simulate(LEVEL, PD(Tracking(GAINS)), reference, LOAD).position
+    theirs = simulate_loop(LEVEL, PD(Tracking(GAINS)), reference, LOAD).position
     ours = tables(LEVEL, reference.position).table
     assert np.max(np.abs(ours - theirs)) < 1e-9
 

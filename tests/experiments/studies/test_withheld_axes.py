@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from diffdrive.controllers import PD, PDGains, Tracking
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import Sampling
 from diffdrive.motion.builders import from_array
@@ -91,7 +91,7 @@ def test_a_sound_machine_of_any_axis_is_the_simulators(axis):
     unquantised = study_axis.drive.__class__(
         **{**vars(study_axis.drive), "sensor": study_axis.drive.sensor.__class__(None, 0.0)}
     )
-    ours = simulate(
+    ours = simulate_loop(
         unquantised, PD(Tracking(PDGains(*gains))), from_array(time, reference), sampling=Sampling(rate, 40)
     ).position
     bristle = float(coulomb(study_axis.drive.friction, 1.0, 0.0)) / float(

@@ -16,7 +16,7 @@ from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration, Pos
 from diffdrive.effects.friction import AppliedLoad, FrictionDwell, PositionFriction, ViscousDrift
 from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.motion.builders import from_array
 from experiments.studies.withheld import machine
 from experiments.studies.withheld.faults import KNOWN
@@ -105,7 +105,7 @@ def simulate_fault(faults, noise=0.0):
 def simulate_effects(*effects):
     """The same of the simulator; 100 N at most saturate it for much of the time, as they do the other machine."""
     drive = dataclasses.replace(PLAIN.drive, effects=effects)
-    ours = simulate(drive, PLAIN.controller, MOTION, sampling=PLAIN.sampling, seed=1)
+    ours = simulate_loop(drive, PLAIN.controller, MOTION, sampling=PLAIN.sampling, seed=1)
     return np.stack([ours.position, ours.command])
 
 

@@ -13,7 +13,7 @@ from rich.console import Console
 from diffdrive.axis_file.drive_file import read_axis, write_axis
 from diffdrive.effects.forces import ConstantForce
 from diffdrive.logs import write_log
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.motion.builders import from_array
 from experiments.reports.diagnosis.diagnosis import diagnose_logs
 from experiments.reports.diagnosis.files import write_reference
@@ -136,7 +136,7 @@ def test_the_motion_that_would_decide_is_written_to_be_run(tmp_path):
         write_reference(report, motion)
     time, position = np.loadtxt(tmp_path / "next_reference.csv", delimiter=",", skiprows=1).T
     again = from_array(time, position)
-    run = simulate(DRIVE.drive, DRIVE.controller, again, sampling=DRIVE.sampling)
+    run = simulate_loop(DRIVE.drive, DRIVE.controller, again, sampling=DRIVE.sampling)
     assert run.status.ok
     np.testing.assert_allclose(position, motion.position, atol=1e-11)
 

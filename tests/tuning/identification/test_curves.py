@@ -10,7 +10,7 @@ from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import LogError
 from diffdrive.logs import Log
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
@@ -36,7 +36,7 @@ def logs(drive):
             there_and_back = motion.triangular(
                 speed=speed, stroke=0.30 * speed, rounding=0.1, duration=2.0, rate=SAMPLING.rate
             )
-            run = simulate(
+            run = simulate_loop(
                 drive, PD(paper_tracking(drive, PAPER_KP, PAPER_KD)), there_and_back, load=load, sampling=SAMPLING
             )
             assert run.status.ok

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.logs import Log
-from diffdrive.loop.rollout import loop_inputs, rollout
+from diffdrive.loop.rollout import loop_inputs, rollout_loop
 from diffdrive.model import actuator, plant
 from diffdrive.model.parameters import Actuator, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
@@ -53,7 +53,7 @@ def growing(reference):
 
 @eqx.filter_jit
 def _rolled(drive, inputs, sampling, key):
-    return rollout(drive, as_arrays(CONTROLLER), inputs, sampling, key)
+    return rollout_loop(drive, as_arrays(CONTROLLER), inputs, sampling, key)
 
 
 def logged(drive, reference, sampling=SAMPLING, disturbance=None, seed=None):

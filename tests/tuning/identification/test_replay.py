@@ -11,7 +11,7 @@ import pytest
 from diffdrive.controllers import DOBVSC, PD, Cascade, DisturbanceObserver
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.errors import LogError, ParameterError
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling
 from diffdrive.motion.builders import sine
 from diffdrive.numerics.arrays import as_arrays
@@ -46,7 +46,7 @@ CONTROLLERS = {
 
 
 def logged(drive, controller, load=LOAD):
-    return simulate(drive, controller, MOTION, load, sampling=SAMPLING).require_ok().log()
+    return simulate_loop(drive, controller, MOTION, load, sampling=SAMPLING).require_ok().log()
 
 
 def part(log, piece, **changed):

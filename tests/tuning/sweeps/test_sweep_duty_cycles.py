@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from diffdrive.axis import Axis
 from diffdrive.errors import DiffdriveError, ParameterError
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.motion import Limits
@@ -56,7 +56,7 @@ def test_each_machine_has_the_errors_of_its_own_motion_under_its_own_load():
         )
         there = parse_motion(f"sine:amplitude={amplitude!r},frequency=20,duration={duration!r}", RATE)
         load = parse_load(REMOVAL.replace("400kg", f"{workpiece!r}"), there.time)
-        run = simulate(lane(drives, k), planned.axis.controller, there, load, sampling=planned.axis.sampling)
+        run = simulate_loop(lane(drives, k), planned.axis.controller, there, load, sampling=planned.axis.sampling)
         assert told["rms_m"][k] == pytest.approx(run.rms_error(0.01), rel=1e-3)  # a quantum may fall to the other side
         assert told["peak_m"][k] == pytest.approx(run.peak_error(0.01), rel=1e-2)
         assert not told["diverged"][k]

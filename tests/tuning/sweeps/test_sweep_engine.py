@@ -17,7 +17,7 @@ from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.loop.costs import running_costs
 from diffdrive.loop.rollout import loop_inputs
 from diffdrive.loop.run import divergence_bound
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.motion import Limits
@@ -84,7 +84,7 @@ def test_a_machine_diverges_in_a_sweep_where_it_does_alone():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         alone = [
-            simulate(lane(machine, k), control, there, sampling=SAMPLING, seed=None).status.ok
+            simulate_loop(lane(machine, k), control, there, sampling=SAMPLING, seed=None).status.ok
             for k in range(len(drawn))
         ]
     assert list(found.steps_finite == len(there.time)) == alone

@@ -9,7 +9,7 @@ import pytest
 from diffdrive import motion
 from diffdrive.axis import Axis
 from diffdrive.errors import DiffdriveError, ParameterError
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Drive, Sampling, Sensor
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.motion import Limits
@@ -219,7 +219,7 @@ def test_a_machine_in_a_sweep_is_the_machine_in_a_single_simulation(tmp_path):
     there = MOTIONS["sine"]
     for row in found:
         load = row["load"] + 1e3 * np.clip(there.time, 0.0, 1.0)
-        one = simulate(quiet, CONTROLLERS[row["controller"]], there, load, sampling=axis.sampling)
+        one = simulate_loop(quiet, CONTROLLERS[row["controller"]], there, load, sampling=axis.sampling)
         assert row["rms_m"] == pytest.approx(one.rms_error(0.01), rel=1e-7)
         assert row["peak_m"] == pytest.approx(one.peak_error(0.01), rel=1e-7)
 
@@ -228,6 +228,6 @@ def test_spread_scatters_the_results_around_the_nominal_machine(tmp_path):
     vary = ("plant.mass=lognormal:5%", "friction.coulomb_screw=lognormal:5%", "friction.viscous=lognormal:5%")
     found = rows(run_parts(plan(128, vary=vary), tmp_path, lambda done: None))
     pd = found.filter(pc.field("controller") == "PD")["rms_m"].to_numpy()
-    nominal = simulate(DRIVE, CONTROLLERS["PD"], MOTIONS["sine"], sampling=AXIS.sampling).rms_error()
+    nominal = simulate_loop(DRIVE, CONTROLLERS["PD"], MOTIONS["sine"], sampling=AXIS.sampling).rms_error()
     assert np.median(pd) == pytest.approx(nominal, rel=0.03)
     assert 0.005 < np.std(pd) / nominal < 0.1

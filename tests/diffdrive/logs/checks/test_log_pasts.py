@@ -12,7 +12,7 @@ from diffdrive.logs import Log
 from diffdrive.logs.checks.consistency import explain_command
 from diffdrive.logs.checks.examine import examine
 from diffdrive.logs.checks.relation import controller_relation
-from diffdrive.loop.simulate import simulate
+from diffdrive.loop.simulate import simulate_loop
 from experiments.studies.demo import PAPER_DRIVE
 from tests.support.sound_log import (
     FORCE_PER_VOLT,
@@ -33,7 +33,9 @@ RATE = TEMPLATE.sampling.rate
 
 def log_of(description, reference, load=0.0) -> Log:
     loads = np.full(len(reference.time), load)
-    run = simulate(description.drive, description.controller, reference, loads, sampling=description.sampling, seed=1)
+    run = simulate_loop(
+        description.drive, description.controller, reference, loads, sampling=description.sampling, seed=1
+    )
     run.require_ok()
     return Log("cut", time=run.time, position=run.position, command=run.command, reference=run.reference)
 
