@@ -9,16 +9,14 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from diffdrive.axis import Axis
-from diffdrive.controllers.base import Reference
-from diffdrive.errors import LoadEstimatorWarning, ParameterError
-from diffdrive.loop import rollout as loop_rollout
-from diffdrive.loop import simulate as loop
-from diffdrive.loop import step
+from diffdrive.errors import LoadEstimatorWarning
 from diffdrive.loop.metrics import rms, window
+from diffdrive.loop.rollout import compiled_rollout, loop_inputs
 from diffdrive.loop.run import Run
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.motion.motion import Motion
 from diffdrive.numerics.arrays import Scalar, as_arrays
-from diffdrive.support.rates import is_same_rate
+from diffdrive.support.rates import require_same_rate
 
 
 def simulate(
@@ -58,7 +56,7 @@ def simulate(
 
     """
     drive = checked_machine(axis, machine).drive
-    run = loop.simulate_loop(
+    run = simulate_loop(
         drive, axis.controller, motion, load, sampling=axis.sampling, limits=axis.limits, seed=seed, every=every
     )
     for note in run.notes:
@@ -139,20 +137,14 @@ def rollout(
 
     """
     drive = checked_machine(axis, machine).drive
-    if not is_same_rate(motion.rate, axis.rate):
-        raise ParameterError(
-            f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {axis.rate:g} Hz: make them equal"
-        )
-    loads = jnp.broadcast_to(jnp.asarray(load, jnp.float64), motion.time.shape)
-    signals = (motion.position, motion.velocity, motion.acceleration)
-    position, velocity, acceleration = (jnp.asarray(signal, dtype=jnp.float64) for signal in signals)
-    inputs = step.Inputs(Reference(position, velocity, acceleration), loads, jnp.zeros_like(loads))
+    require_same_rate(f"motion '{motion.name}'", motion.rate, "the axis", axis.rate)
+    inputs = loop_inputs(motion, jnp.broadcast_to(jnp.asarray(load, jnp.float64), motion.time.shape))
     key = None if seed is None else jax.random.key(seed)
-    frames: PyTree = loop_rollout.compiled_rollout(*as_arrays((drive, axis.controller)), inputs, axis.sampling, key)
+    frames: PyTree = compiled_rollout(*as_arrays((drive, axis.controller)), inputs, axis.sampling, key)
     estimate = frames.estimate
     return Rollout(
-        reference=position,
-        load=loads,
+        reference=inputs.reference.position,
+        load=inputs.load,
         measured=frames.measured,
         table_position=frames.position,
         velocity=frames.velocity,
@@ -169,9 +161,5 @@ def checked_machine(axis: Axis, machine: Axis | None) -> Axis:
     """The axis whose drive moves: `machine`, or the axis itself; raises `ParameterError` for another rate."""
     if machine is None:
         return axis
-    if not is_same_rate(machine.rate, axis.rate):
-        raise ParameterError(
-            f"machine: is sampled at {machine.rate:.10g} Hz, the axis at {axis.rate:.10g} Hz: delays are given "
-            "in samples; make the rates equal"
-        )
+    require_same_rate("machine", machine.rate, "the axis", axis.rate)
     return machine

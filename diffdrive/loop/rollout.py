@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import stages
@@ -91,9 +91,13 @@ def rollout_loop(
 compiled_rollout = eqx.filter_jit(rollout_loop)
 
 
-def loop_inputs(motion: Motion, load: np.ndarray, disturbance: np.ndarray | None = None) -> Inputs:
+def loop_inputs(
+    motion: Motion,
+    load: Float[Array, " n"] | Float[np.ndarray, " n"],
+    disturbance: Float[np.ndarray, " n"] | None = None,
+) -> Inputs:
     """The inputs of `rollout_loop` from a motion, a load and a disturbance force (N, [n] each; None: no force)."""
-    force = np.zeros(len(motion.time)) if disturbance is None else np.asarray(disturbance, float)
-    signals = (motion.position, motion.velocity, motion.acceleration, np.asarray(load, float), force)
+    force = np.zeros(len(motion.time)) if disturbance is None else disturbance
+    signals = (motion.position, motion.velocity, motion.acceleration, load, force)
     arrays = [jnp.asarray(signal, dtype=jnp.float64) for signal in signals]
     return Inputs(Reference(*arrays[:3]), *arrays[3:])

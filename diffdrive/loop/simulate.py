@@ -22,7 +22,7 @@ from diffdrive.motion.motion import Limits, Motion, require_within
 from diffdrive.numerics.arrays import as_arrays, require_double_precision
 from diffdrive.numerics.pipeline import require_shorter
 from diffdrive.support.messages import short_repr
-from diffdrive.support.rates import is_same_rate
+from diffdrive.support.rates import require_same_rate
 from diffdrive.support.resources import require_memory
 
 INPUT_ARRAYS, OUTPUT_ARRAYS, DOUBLE_BYTES = (
@@ -63,10 +63,7 @@ def simulate_loop(
     check_drive(drive)
     check(controller)
     require_within(motion, limits)
-    if not is_same_rate(motion.rate, sampling.rate):
-        raise ParameterError(
-            f"the motion is sampled at {motion.rate:g} Hz, the controller runs at {sampling.rate:g} Hz: make them equal"
-        )
+    require_same_rate(f"motion '{motion.name}'", motion.rate, "the axis", sampling.rate)
     stride = _whole_number(every)
     if stride is None or not 1 <= stride < len(motion.time):
         raise ParameterError(f"every must be a whole number from 1 to {len(motion.time) - 1}, got {short_repr(every)}")

@@ -12,13 +12,11 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from diffdrive import motion
-from diffdrive.axis import Axis
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.motion import load
 from diffdrive.motion.file import parse_motion_table, read_motion
 from diffdrive.motion.motion import Motion
 from diffdrive.support.messages import shortened
-from diffdrive.support.rates import is_same_rate
 from diffdrive.support.units import to_si
 
 MOTIONS: dict[str, Callable[..., Motion]] = {
@@ -69,16 +67,6 @@ def number(text: str, unit: str, where: str) -> float:
         return to_si(text, unit)
     except ValueError as problem:
         raise MotionError(f"{where}: {problem}") from None
-
-
-def require_same_rate(where: str, axis: Axis, nominal: Axis) -> None:
-    """Raise `ParameterError` for a machine or controller of another control rate: its delays are in samples."""
-    rate, nominal_rate = axis.sampling.rate, nominal.sampling.rate
-    if not is_same_rate(rate, nominal_rate):
-        raise ParameterError(
-            f"{where}: is sampled at {rate:.10g} Hz, the axis at {nominal_rate:.10g} Hz: delays are given "
-            "in samples: make the rates equal"
-        )
 
 
 def nonnegative_number(text: str, unit: str, where: str) -> float:

@@ -15,10 +15,11 @@ from diffdrive.logs.write import write_csv
 from diffdrive.loop import metrics
 from diffdrive.loop.convergence import convergence_gains, time_constants
 from diffdrive.loop.run import Run
-from diffdrive.motion.text import numbers, parse_load, parse_motion, require_longer_than, require_same_rate
+from diffdrive.motion.text import numbers, parse_load, parse_motion, require_longer_than
 from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
 from diffdrive.simulation import simulate
+from diffdrive.support.rates import require_same_rate
 from experiments.reports.readable import shown
 from experiments.reports.report import Report, new_figure
 
@@ -62,7 +63,7 @@ def simulate_drive(
     """`diffdrive simulate`; False if the loop diverged."""
     description = read_axis(drive)
     other = description if machine is None else read_axis(machine)
-    require_same_rate("--machine", other, description)
+    require_same_rate("--machine", other.rate, "the drive file", description.rate)
     planned = parse_motion(motion, description.sampling.rate)
     require_longer_than(settle, planned.name, planned)
     loads = parse_load(load, planned.time)

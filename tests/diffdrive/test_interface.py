@@ -16,6 +16,7 @@ import diffdrive as dd
 from diffdrive.effects.catalogue import EFFECTS, effects_by_part
 from diffdrive.errors import DivergenceError, LoadEstimatorWarning, LogError, ParameterError, ResultError
 from diffdrive.loop.run import Run
+from diffdrive.loop.simulate import simulate_loop
 from diffdrive.paper import example_controllers
 from diffdrive.results import Status
 
@@ -115,9 +116,7 @@ def test_another_machine_is_believed_in_alike_within_a_compiled_function(axis):
 def test_a_machine_of_its_own_moves_under_what_the_axis_believes():
     machine = AXIS.replace({"plant.mass": 150.0})
     run = dd.simulate(AXIS, LAP, machine=machine)
-    ours = dd.loop.simulate.simulate_loop(
-        machine.drive, AXIS.controller, LAP, sampling=AXIS.sampling, limits=AXIS.limits
-    )
+    ours = simulate_loop(machine.drive, AXIS.controller, LAP, sampling=AXIS.sampling, limits=AXIS.limits)
     np.testing.assert_array_equal(run.position, ours.position)
 
 
@@ -138,7 +137,7 @@ def test_what_cannot_be_is_refused_by_name():
     with pytest.raises(ParameterError, match="no kind 'pid'; known: pd, "):
         dd.paper_axis(controller="pid")
     slow = dd.motion.sine(amplitude=1e-3, frequency=10.0, duration=0.2, rate=5_000.0)
-    with pytest.raises(ParameterError, match="make them equal"):
+    with pytest.raises(ParameterError, match="make the rates equal"):
         dd.rollout(AXIS, slow)
     unstable = AXIS.with_gains(kp=1e12)
     assert dd.simulate(unstable, LAP).status.code == "diverged"
@@ -172,7 +171,7 @@ def test_a_result_is_saved_with_its_schema(tmp_path):
 def test_a_note_of_a_run_is_a_warning_at_the_callers_line_and_is_saved(monkeypatch, tmp_path):
     zeros = np.zeros(3)
     noted = Run(zeros, *(zeros for _ in range(9)), None, None, notes=("the load estimate drifts",))
-    monkeypatch.setattr("diffdrive.loop.simulate.simulate_loop", lambda *_, **__: noted)
+    monkeypatch.setattr("diffdrive.simulation.simulate_loop", lambda *_, **__: noted)
     with pytest.warns(LoadEstimatorWarning, match="drifts") as caught:
         run = dd.simulate(AXIS, LAP)
     assert caught[0].filename == __file__

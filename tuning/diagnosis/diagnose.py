@@ -20,6 +20,7 @@ from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import as_arrays
+from diffdrive.support.rates import is_same_rate
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.command_left import doubted_by_command
@@ -105,7 +106,7 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
         if not long_pieces(log):
             mend = "leave this log out" if len(logs) > 1 else "log a longer motion"
             raise LogError(f"{log.name}: no stretch of {MIN_LANE_SAMPLES} samples without a gap: {mend}")
-        if abs(log.rate / logs[0].rate - 1.0) > SAME_RATE:
+        if not is_same_rate(log.rate, logs[0].rate, SAME_RATE):
             raise LogError(
                 f"{log.name} is sampled at {log.rate:g} Hz, {logs[0].name} at {logs[0].rate:g} Hz: diagnose logs of "
                 "one rate together"

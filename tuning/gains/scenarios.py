@@ -19,6 +19,7 @@ from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive, Sampling, Sensor
 from diffdrive.motion.motion import Motion
 from diffdrive.numerics.arrays import as_arrays
+from diffdrive.support.rates import is_same_rate
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def ensemble(scenarios: Sequence[Scenario], sampling: Sampling, *, settle: float
         raise ParameterError("no scenario to tune on")
     first = scenarios[0].motion
     for scenario in scenarios:
-        if len(scenario.motion.time) != len(first.time) or abs(scenario.motion.rate / sampling.rate - 1) > 1e-6:
+        if len(scenario.motion.time) != len(first.time) or not is_same_rate(scenario.motion.rate, sampling.rate):
             raise MotionError(
                 f"{scenario.name}: {len(scenario.motion.time)} samples at {scenario.motion.rate:g} Hz beside "
                 f"{len(first.time)} at {sampling.rate:g} Hz: scenarios are simulated side by side, so make their "

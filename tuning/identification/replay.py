@@ -28,6 +28,7 @@ from diffdrive.motion.builders import from_array
 from diffdrive.numerics.arrays import Scalar, as_arrays, require_double_precision
 from diffdrive.numerics.pipeline import require_shorter
 from diffdrive.results import Status
+from diffdrive.support.rates import is_same_rate
 from tuning.identification.prediction import FilterGains, Lanes, initial_state, predict
 from tuning.identification.problem import FINE_SUBSTEP, MIN_LANE_SAMPLES, lanes_of, sampling_of
 
@@ -224,7 +225,7 @@ def drift_note(drive: Drive) -> str:
 def _sampling(log: Log, sampling: Sampling | None) -> Sampling:
     if sampling is None:
         return sampling_of(float(round(log.rate, 6)), FINE_SUBSTEP)
-    if abs(log.rate / sampling.rate - 1) > 1e-6:
+    if not is_same_rate(log.rate, sampling.rate):
         raise ParameterError(f"{log.name} is sampled at {log.rate:g} Hz, sampling.rate is {sampling.rate:g} Hz")
     return sampling
 

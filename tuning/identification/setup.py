@@ -10,6 +10,7 @@ from diffdrive.errors import DiffdriveError, LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.model.friction import steepest_stribeck_slope
 from diffdrive.model.parameters import Drive, check_drive
+from diffdrive.support.rates import is_same_rate
 from tuning.identification import inverse_dynamics
 from tuning.identification.inverse_dynamics import LOAD_SPREAD, MIN_SPEED
 from tuning.identification.prediction import MAX_DELAY, constant_gains
@@ -84,7 +85,7 @@ def _common_rate(logs: Sequence[Log]) -> float:
     if not logs:
         raise LogError("no log to identify from")
     for log in logs:
-        if abs(log.rate / logs[0].rate - 1) > SAME_RATE:
+        if not is_same_rate(log.rate, logs[0].rate, SAME_RATE):
             raise LogError(
                 f"{log.name} is sampled at {log.rate:g} Hz, {logs[0].name} at {logs[0].rate:g} Hz: identify from "
                 "logs of one rate"

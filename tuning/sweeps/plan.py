@@ -24,7 +24,7 @@ from diffdrive.motion.motion import Motion, require_within
 from diffdrive.motion.text import Recipe, load_recipe, parse_load, require_choice, require_longer_than
 from diffdrive.numerics.arrays import as_arrays, require_double_precision
 from diffdrive.runtime import arithmetic_signature
-from diffdrive.support.rates import is_same_rate
+from diffdrive.support.rates import require_same_rate
 from diffdrive.support.resources import require_memory
 from tuning.store.edition import code_digest
 from tuning.store.store import digest
@@ -102,11 +102,7 @@ class SweepPlan:
             if not plan._varies("motion"):  # else none of the machines may run that one
                 require_within(motion, axis.limits)
                 require_longer_than(plan.settle, name, motion)
-            if not is_same_rate(motion.rate, axis.sampling.rate):
-                raise ParameterError(
-                    f"{name}: is sampled at {motion.rate:g} Hz, the controller runs at {axis.sampling.rate:g} Hz: "
-                    "make them equal"
-                )
+            require_same_rate(name, motion.rate, "the axis", axis.rate)
         if not 0 <= plan.seed < 2**63:
             raise ParameterError(f"sweep: seed must be from 0 to 2^63 - 1, got {plan.seed}")
         correlation_root(plan.correlation, names)

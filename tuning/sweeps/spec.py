@@ -13,8 +13,9 @@ from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import faithful_tables, parse_axis
 from diffdrive.errors import DriveFileError, ParameterError
 from diffdrive.motion.motion import Motion
-from diffdrive.motion.text import Recipe, motion_recipe, parse_motion, require_same_rate
+from diffdrive.motion.text import Recipe, motion_recipe, parse_motion
 from diffdrive.support.atomic_write import write_text
+from diffdrive.support.rates import require_same_rate
 from tuning.sweeps.engine import LEAST_IN_A_PART, Precision, most_in_a_part
 from tuning.sweeps.identified import Correlation
 from tuning.sweeps.plan import SweepPlan
@@ -73,7 +74,7 @@ class SweepSpec:
             raise ParameterError(f"against: {self.axis.name!r} is the axis itself; give it another name")
         others = {f"against {name}": other for name, other in self.against.items()}
         for name, other in (others if self.machine is None else {"machine": self.machine} | others).items():
-            require_same_rate(name, other, self.axis)
+            require_same_rate(name, other.rate, "the axis", self.axis.rate)
         axis = self.axis if self.machine is None else dataclasses.replace(self.axis, drive=self.machine.drive)
         motions = self.motions_by_name
         return SweepPlan.of(

@@ -22,6 +22,7 @@ from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling, check_drive
 from diffdrive.model.quantity import check
 from diffdrive.numerics.arrays import Scalar, as_arrays, require_double_precision
+from diffdrive.support.rates import is_same_rate
 from tuning.identification import inverse_dynamics
 from tuning.identification.inverse_dynamics import LOAD_SPREAD, MIN_SPEED
 from tuning.identification.problem import FINE_SUBSTEP, sampling_of
@@ -97,7 +98,7 @@ def fit_closed_loop(
     require_double_precision()
     check(controller)
     check_drive(drive)
-    if not logs or any(abs(log.rate / logs[0].rate - 1) > 1e-6 for log in logs):
+    if not logs or any(not is_same_rate(log.rate, logs[0].rate) for log in logs):
         raise LogError("give one log or more, all of one rate")
     for name in fixed:
         if name not in NAMES:

@@ -186,7 +186,7 @@ REQUESTS = {
     "other rate": (
         {"sampling": Sampling(5000.0)},
         ParameterError,
-        "10000 Hz, the controller runs at 5000 Hz: make them",
+        "10000 Hz, the axis at 5000 Hz: delays are given in samples: make the rates equal",
     ),
     "every 0": ({"every": 0}, ParameterError, rf"every must be a whole number from 1 to {N - 1}, got 0"),
     "every negative": ({"every": -5}, ParameterError, "every must be a whole number"),

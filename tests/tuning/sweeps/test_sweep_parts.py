@@ -168,7 +168,7 @@ def test_where_numpy_has_no_vectors_of_its_own_there_are_none_to_name(monkeypatc
 
 def test_a_motion_of_another_rate_is_refused():
     slow = {"sine": motion.sine(amplitude=1e-3, frequency=2.0, duration=0.5, rate=1e3)}
-    with pytest.raises(ParameterError, match="sine: is sampled at 1000 Hz, the controller runs at 10000 Hz"):
+    with pytest.raises(ParameterError, match="sine: is sampled at 1000 Hz, the axis at 10000 Hz"):
         SweepPlan.of(AXIS, CONTROLLERS, slow, VARY, 8)
 
 
