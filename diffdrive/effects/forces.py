@@ -162,7 +162,7 @@ class FrameVibration(TableEffect):
     order: ClassVar[StepOrder] = StepOrder.DYNAMIC
     ratio: Scalar = quantity("1", "moving mass over the base's", at_least=0.0, default=0.0)
     frequency: Scalar = quantity("Hz", "natural frequency of the base", above=0.0, default=20.0)
-    damping: Scalar = quantity("1", "damping ratio of the base", at_least=0.0, default=0.03)
+    damping: Scalar = quantity("1", "damping ratio of the base", at_least=0.0, below=1.0, default=0.03)
 
     def init(self) -> PyTree:
         """The base at rest."""

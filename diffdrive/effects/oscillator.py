@@ -12,6 +12,9 @@ from diffdrive.numerics.exponential import exp_neg
 from diffdrive.numerics.trigonometry import cosine_sine
 
 
+LARGEST_DAMPING = 1.0 - 1e-9  # ratio; effects declare it below 1, and a search that goes beyond finds no slope there
+
+
 class Oscillator(NamedTuple):
     """Deflection q (m) and its rate (m/s)."""
 
@@ -45,7 +48,7 @@ class DiscreteOscillator(NamedTuple):
 
 def discretise(angular: Scalar, damping: Scalar, time: Scalar) -> DiscreteOscillator:
     """The discretisation with steps of `time` (s); `angular` frequency in rad/s, `damping` ratio below 1."""
-    ratio = jnp.minimum(damping, 0.999)
+    ratio = jnp.minimum(damping, LARGEST_DAMPING)
     damped, decay_rate = angular * jnp.sqrt(1.0 - ratio**2), ratio * angular
     cosine, sine = cosine_sine(damped * time)
     decay = exp_neg(decay_rate * time)

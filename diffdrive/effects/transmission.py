@@ -260,7 +260,7 @@ class Compliance(Transmission):
 
     name: ClassVar[str] = "compliance"
     frequency: Scalar = quantity("Hz", "free resonance of motor against table", above=0.0, default=1e5)
-    damping: Scalar = quantity("1", "damping ratio", at_least=0.0, default=0.03)
+    damping: Scalar = quantity("1", "damping ratio", at_least=0.0, below=1.0, default=0.03)
     motor_share: Scalar = quantity("1", "of the moving mass", above=0.0, below=1.0, default=0.4)
     table_friction: Scalar = quantity(
         "1", "share of the friction on the table's side", at_least=0.0, at_most=1.0, default=0.5
@@ -281,7 +281,7 @@ class Backlash(Transmission):
     name: ClassVar[str] = "backlash"
     gap: Scalar = quantity("m", "backlash width: full width of the dead zone", at_least=0.0, default=0.0)
     frequency: Scalar = quantity("Hz", "free resonance of motor against table in contact", above=0.0, default=1e5)
-    damping: Scalar = quantity("1", "damping ratio in contact", at_least=0.0, default=0.08)
+    damping: Scalar = quantity("1", "damping ratio in contact", at_least=0.0, below=1.0, default=0.08)
     motor_share: Scalar = quantity("1", "of the moving mass", above=0.0, below=1.0, default=0.4)
     table_friction: Scalar = quantity(
         "1", "share of the friction on the table's side", at_least=0.0, at_most=1.0, default=0.5
