@@ -10,9 +10,10 @@ from jaxtyping import Array, Float, PyTree
 
 from diffdrive.axis import Axis
 from diffdrive.errors import LoadEstimatorWarning
-from diffdrive.loop.metrics import rms, window
+from diffdrive.loop.metrics import rms
 from diffdrive.loop.rollout import compiled_rollout, loop_inputs
 from diffdrive.loop.run import Run
+from diffdrive.loop.signals import Signals
 from diffdrive.loop.simulate import simulate_loop
 from diffdrive.motion.motion import Motion
 from diffdrive.numerics.arrays import Scalar, as_arrays
@@ -40,7 +41,7 @@ def simulate(
         load: Force on the guides (N), one number or one per sample.
         machine: An axis whose drive replaces the axis's own under the axis's controller, so that the controller's model
             and the true machine may differ.
-        seed: Of the noise of the scale (None: no noise).
+        seed: Of the noise of the scale (None: no noise). By default there is noise, as in a log; `rollout` has none.
         every: Keep each n-th sample.
         throw: Raise an error where the status is not ok.
 
@@ -64,32 +65,14 @@ def simulate(
     return run.require_ok() if throw else run
 
 
-class Rollout(eqx.Module):
-    """The signals of a roll-out, [n] each; estimates are None where the controller makes none.
+class Rollout(Signals[Array]):
+    """The signals of a roll-out, [n] each. Under `jax.vmap` lanes come first, and an error is a number for each."""
 
-    Under `jax.vmap` lanes come first, and an error is a number for each.
-    """
+    rate: float = eqx.field(static=True)  # Hz
+    start: float = eqx.field(static=True, default=0.0)  # s, of the first sample
 
-    reference: Float[Array, "*lanes n"]  # m
-    load: Float[Array, "*lanes n"]  # N
-    measured: Float[Array, "*lanes n"]  # m, position as the scale reports it
-    table_position: Float[Array, "*lanes n"]  # m, true
-    velocity: Float[Array, "*lanes n"]  # m/s, true
-    command: Float[Array, "*lanes n"]  # N, before the actuator
-    force: Float[Array, "*lanes n"]  # N, after it
-    friction: Float[Array, "*lanes n"]  # N
-    friction_estimate: Float[Array, "*lanes n"] | None  # N
-    load_estimate: Float[Array, "*lanes n"] | None  # N
-    rate: float = eqx.field(static=True)
-
-    @property
-    def error(self) -> Float[Array, "*lanes n"]:
-        """Tracking error of the table, reference minus true position (m)."""
-        return self.reference - self.table_position
-
-    def between(self, start: float, end: float) -> slice:
-        """The samples in [start, end] (s), none of them traced; raises `ParameterError` if there is none."""
-        return window(np.arange(self.reference.shape[-1]) / self.rate, start, end)
+    def sample_times(self) -> np.ndarray:
+        return self.start + np.arange(self.reference.shape[-1]) / self.rate
 
     def rms_error(self, start: float = -np.inf, end: float = np.inf) -> Float[Array, "*lanes"]:
         """Root mean square tracking error (m) between `start` and `end` (s); its gradient is never NaN.
@@ -125,7 +108,8 @@ def rollout(
         motion: The reference, [n] samples at the axis's rate.
         load: Force on the guides (N), one number or one per sample; may be traced.
         machine: An axis whose drive replaces the axis's own, as in `simulate`.
-        seed: Of the noise of the scale (None: no noise).
+        seed: Of the noise of the scale. By default there is none, since a derivative is of the loop, not of its noise;
+            `simulate` has it, with seed 0.
 
     Raises:
         ParameterError: The motion, or the machine, has another rate than the axis.
@@ -154,6 +138,7 @@ def rollout(
         friction_estimate=None if estimate is None else estimate.friction,
         load_estimate=None if estimate is None else estimate.load,
         rate=axis.rate,
+        start=float(motion.time[0]),
     )
 
 

@@ -1,36 +1,25 @@
 """The result of a simulation: its signals, and a status that says whether they are valid."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 from jaxtyping import PyTree
 
 from diffdrive.logs.log import Log
-from diffdrive.loop.metrics import window
+from diffdrive.loop.signals import Signals
 from diffdrive.motion.motion import Limits, Motion
 from diffdrive.results import Result, Status
 
 OK = Status(True)
 
 
-@dataclass(frozen=True, repr=False, eq=False)
-class Run(Result):
-    """One simulated motion; arrays of shape [n]. Estimates are None where the controller makes none."""
+class Run(Result, Signals[np.ndarray]):
+    """One simulated motion: its signals, arrays of shape [n], and a status that says whether they are valid."""
 
     time: np.ndarray  # s
-    reference: np.ndarray  # m
     reference_velocity: np.ndarray  # m/s
-    load: np.ndarray  # N
-    measured: np.ndarray  # m, position as the scale reports it
-    table_position: np.ndarray  # m, true
-    velocity: np.ndarray  # m/s, true
-    command: np.ndarray  # N, before the actuator
-    force: np.ndarray  # N, after it
-    friction: np.ndarray  # N, without the damping B_S v
-    friction_estimate: np.ndarray | None
-    load_estimate: np.ndarray | None
     status: Status = OK
     notes: tuple[str, ...] = ()
 
@@ -77,19 +66,8 @@ class Run(Result):
             load_estimate=None if estimate is None or estimate.load is None else np.asarray(estimate.load),
         )
 
-    @property
-    def error(self) -> np.ndarray:
-        """Tracking error of the table, reference minus true position (m)."""
-        return self.reference - self.table_position
-
-    @property
-    def position(self) -> np.ndarray:
-        """`measured`, by the name that a log has for it (m)."""
-        return self.measured
-
-    def between(self, start: float, end: float) -> slice:
-        """The samples in [start, end] (s); raises `ParameterError` if there is none."""
-        return window(self.time, start, end)
+    def sample_times(self) -> np.ndarray:
+        return self.time
 
     def peak_error(self, start: float = -np.inf, end: float = np.inf) -> float:
         """Largest tracking error (m) between `start` and `end` (s); raises `ParameterError` where no sample is."""

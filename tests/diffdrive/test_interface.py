@@ -101,6 +101,14 @@ def test_lanes_of_a_roll_out_are_not_pooled():
     np.testing.assert_array_equal(lanes.peak_error(), [7.0, 7.0, 7.0])
 
 
+def test_a_run_and_a_roll_out_count_time_alike():
+    late = dataclasses.replace(LAP, time=LAP.time + 2.0)
+    one = dd.Rollout(*(LAP.position for _ in range(8)), None, None, AXIS.rate, 2.0)
+    other = Run(*(LAP.position for _ in range(8)), None, None, late.time, LAP.velocity)
+    assert one.between(2.05, 2.1) == other.between(2.05, 2.1) == slice(500, 1001)
+    assert one.position is one.measured
+
+
 BARE_PD = AXIS.with_controller(dd.controllers.PD(dd.controllers.Tracking(AXIS.controller.tracking.gains)))
 AXES = {kind: dd.paper_axis(controller=kind) for kind in KINDS} | {"pd without feed-forward": BARE_PD}
 
@@ -170,7 +178,7 @@ def test_a_result_is_saved_with_its_schema(tmp_path):
 
 def test_a_note_of_a_run_is_a_warning_at_the_callers_line_and_is_saved(monkeypatch, tmp_path):
     zeros = np.zeros(3)
-    noted = Run(zeros, *(zeros for _ in range(9)), None, None, notes=("the load estimate drifts",))
+    noted = Run(*(zeros for _ in range(8)), None, None, zeros, zeros, notes=("the load estimate drifts",))
     monkeypatch.setattr("diffdrive.simulation.simulate_loop", lambda *_, **__: noted)
     with pytest.warns(LoadEstimatorWarning, match="drifts") as caught:
         run = dd.simulate(AXIS, LAP)
@@ -181,7 +189,7 @@ def test_a_note_of_a_run_is_a_warning_at_the_callers_line_and_is_saved(monkeypat
 
 def test_the_error_in_the_place_of_a_result_holds_it():
     zeros = np.zeros(3)
-    run = Run(zeros, *(zeros for _ in range(9)), None, None, status=Status(False, "too weak", code="saturated"))
+    run = Run(*(zeros for _ in range(8)), None, None, zeros, zeros, status=Status(False, "too weak", code="saturated"))
     with pytest.raises(ResultError, match="too weak") as caught:
         run.require_ok()
     assert caught.value.result is run
