@@ -11,7 +11,6 @@ from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.exponential import exp_neg
 from diffdrive.numerics.trigonometry import cosine_sine
 
-
 LARGEST_DAMPING = 1.0 - 1e-9  # ratio; effects declare it below 1, and a search that goes beyond finds no slope there
 
 
