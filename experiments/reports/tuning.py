@@ -8,14 +8,13 @@ import numpy as np
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
 from diffdrive.loop.linearise import OperatingPoint
-from diffdrive.model.quantity import quantities
 from experiments.reports import readable
 from experiments.reports.axis_file import write_axis_file
 from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
 from tuning.gains.checkpoint import CHECKPOINT
-from tuning.gains.handover import LABELS, handover, worst_margins, write_handover
+from tuning.gains.handover import handover, worst_margins, write_handover
 from tuning.gains.pareto import ParetoFront, pareto_front
 from tuning.gains.plan import ScenarioResult, TuningPlan
 from tuning.gains.requirements import LoopLimits
@@ -112,14 +111,14 @@ def gains_table(report: Report, tuned: GainSearch) -> None:
         feasible=tuned.feasible, seconds=round(standing.seconds, 1),
     )  # fmt: skip
     rows = [
-        [LABELS.get(name, name), float(b), float(a), float(a / b), float(t)]
+        [name, float(b), float(a), float(a / b), float(t)]
         for name, b, a, t in zip(tuned.names, tuned.before, tuned.after, tuned.tolerance, strict=True)
     ]
     report.record("gains", ("gain", "before", "after", "ratio", "factor for 5 %"), rows)
     report.show(
         "Gains; changed by the last factor, alone, one costs 5 % of the objective",
         ("gain", "unit", "given", "tuned", "ratio", "factor"),
-        [[label, _unit(tuned, name), *row] for name, (label, *row) in zip(tuned.names, rows, strict=True)],
+        [[name, unit.replace("*", " "), *row] for unit, (name, *row) in zip(tuned.units, rows, strict=True)],
     )
     for remark in remarks(tuned):
         report.say(remark)
@@ -130,12 +129,6 @@ def gains_table(report: Report, tuned: GainSearch) -> None:
     )
     if len(tuned.start_objectives) > 1:
         report.values("starts", objective=[float(one) for one in tuned.start_objectives])
-
-
-def _unit(tuned: GainSearch, name: str) -> str:
-    """Of a gain, as its class declares it."""
-    units = {path.rpartition(".")[2]: declared.unit for path, declared, _ in quantities(tuned.controller)}
-    return units.get(name, "").replace("*", " ")
 
 
 def margins_table(report: Report, both: Sequence[ControllerMargins]) -> None:

@@ -1,5 +1,6 @@
 """Tuned gains as a commissioning engineer types them in: SI and the controller's own units, with what they rest on."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,20 +12,18 @@ from diffdrive.support.atomic_write import write_text
 from diffdrive.support.typing import TomlTable
 from tuning.gains.tune import GainSearch
 
-LABELS = {
-    "position": "Q_position", "velocity": "Q_velocity", "bristle": "Q_bristle", "load": "Q_load", "measurement": "R",
-    "gain": "K_w",
-}  # fmt: skip
-PER_VOLT = ("kp", "kd", "kv", "ki", "reach")  # gains in newtons of command per something
+FORCE = re.compile(r"N(?![\w^])")  # how the unit of a gain begins that is a force, or a force per something
 
 
 def handover(description: Axis, tuned: GainSearch, margins: Margins, conditions: TomlTable) -> TomlTable:
     """The hand-over as nested tables: gains in SI, in command volts where the drive file says N/V; margins."""
-    gains = {LABELS.get(name, name): float(value) for name, value in zip(tuned.names, tuned.after, strict=True)}
+    gains = {name: float(value) for name, value in zip(tuned.names, tuned.after, strict=True)}
     per_volt = description.mapping.force_per_volt
     tables: TomlTable = {"gains_si": gains}
     if per_volt is not None:
-        volts = {name: value / per_volt for name, value in gains.items() if name in PER_VOLT}
+        forces = {name for name, unit in zip(tuned.names, tuned.units, strict=True) if FORCE.match(unit)}
+        own = forces & description.controller.tunables.keys()  # not the friction that an observer is tuned to
+        volts = {name: value / per_volt for name, value in gains.items() if name in own}
         tables["gains_in_command_volts"] = {"force_per_volt": per_volt, **volts}
     tables["margins_worst"] = worst_margins(margins)
     tables["conditions"] = conditions

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from diffdrive.axis import Axis
-from diffdrive.controllers import Controller
-from diffdrive.model.parameters import Friction
+from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.results import Result, Status
 from tuning.gains.objective import Objective
 from tuning.gains.plan import TuningPlan
@@ -31,7 +30,7 @@ BELIEVED = (
 class TuningResult(Result):
     """Tuned gains, and what they are worth.
 
-    `accepted`: every requirement is kept, and every run of the verification is ok; `axis` then has the gains.
+    `status.ok`: every requirement is kept, and every run of the verification is ok; `axis` then has the gains.
     `tuned_on` and `held_out` compare them with the gains as given on the exact simulator, the latter in scenarios
     (loads, speeds, a machine, noise) that were not tuned on; `margins` are the worst that remain. `gains` are (before,
     after) by name. `search` has the search, `runs` every run, `loop_margins` the margins at every operating point
@@ -39,7 +38,6 @@ class TuningResult(Result):
     """
 
     axis: Axis
-    accepted: bool
     gains: Mapping[str, tuple[float, float]]
     tuned_on: ErrorComparison
     held_out: ErrorComparison
@@ -55,6 +53,11 @@ class TuningResult(Result):
     status: Status
 
     schema: ClassVar[str] = "tuning/2"
+
+    @property
+    def accepted(self) -> bool:
+        """`status.ok`, in the words of tuning."""
+        return self.status.ok
 
     @property
     def margins(self) -> WorstMargins:
@@ -95,13 +98,13 @@ class TuningResult(Result):
         }
 
 
-def tuned_axis(axis: Axis, controller: Controller) -> Axis:
-    """The axis with tuned gains: its friction is what observers believe, tuned along or not."""
-    friction = getattr(getattr(controller, "observer", None), "friction", None)
-    drive = axis.drive
-    if isinstance(friction, Friction):
-        drive = replace(drive, friction=friction)
-    return replace(axis, drive=drive, controller=controller)
+def tuned_axis(axis: Axis, controller: Controller, *, friction: bool) -> Axis:
+    """The axis with tuned gains; its `friction` is what the observer believes where that is tuned along."""
+    tuned = replace(axis, controller=controller, name="tuned")
+    if not friction:
+        return tuned
+    assert isinstance(controller, FrictionCompensation)
+    return replace(tuned, drive=replace(axis.drive, friction=controller.observer.friction))
 
 
 def tuning_result(
@@ -119,16 +122,13 @@ def tuning_result(
     notes = [*prepared.notes, *(note for note in [noise_warning(prepared, runs)] if note), *remarks(tuned)]
     notes += [BELIEVED] if prepared.friction else []
     bad = [f"{run.scenario.name}: {run.after.run.status.message}" for run in runs if not run.after.run.status.ok]
-    names = {gain.path: name for name, gain in axis.controller.tunables.items()}
     gains = {
-        names.get(free.path, free.path): (float(was), float(now))
-        for free, was, now in zip(prepared.space.free, tuned.before, tuned.after, strict=True)
+        name: (float(was), float(now)) for name, was, now in zip(tuned.names, tuned.before, tuned.after, strict=True)
     }
     code = "ok" if accepted else "interrupted" if tuned.interrupted else "not_accepted"
     message = tuned.status if accepted or not bad else bad[0]
     return TuningResult(
-        axis=replace(tuned_axis(axis, tuned.controller), name="tuned"),
-        accepted=accepted,
+        axis=tuned_axis(axis, tuned.controller, friction=prepared.friction),
         gains=gains,
         tuned_on=ErrorComparison.of([run for run in runs if run.role == "tuned on"]),
         held_out=ErrorComparison.of([run for run in runs if run.role == "held out"]),

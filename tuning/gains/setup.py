@@ -20,7 +20,9 @@ from tuning.gains.scenarios import Ensemble, EnsembleSignals, Scenario, ensemble
 from tuning.gains.tune import default_space, gain_factors
 from tuning.optimisation.space import SearchSpace
 
-SPEEDS = (0.0, 1e-3, 3e-3, 1.0, 2.0)  # m/s, where margins are looked at; from 1 on, times the speed tuned at
+# where margins are looked at
+LOW_SPEEDS = (0.0, 1e-3, 3e-3)  # m/s
+SPEED_FACTORS = (1.0, 2.0)  # times the speed tuned at
 
 
 class TuningSetup(NamedTuple):
@@ -115,4 +117,4 @@ def _require_finite(name: str, limit: float | np.ndarray) -> None:
 
 def margin_speeds(plan: TuningPlan) -> tuple[float, ...]:
     """The speeds (m/s) at which margins are looked at."""
-    return tuple(speed if speed < 1.0 else speed * plan.top_speed for speed in SPEEDS)
+    return (*LOW_SPEEDS, *(factor * plan.top_speed for factor in SPEED_FACTORS))

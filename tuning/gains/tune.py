@@ -16,7 +16,7 @@ from jaxtyping import Float
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import ParameterError
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.quantity import check
+from diffdrive.model.quantity import check, quantities
 from diffdrive.numerics.arrays import as_arrays, require_double_precision
 from diffdrive.support.bounds import require_count
 from diffdrive.support.resources import format_count, require_memory
@@ -50,14 +50,24 @@ def gain_factors(controller: Controller, *, friction: bool = False) -> dict[str,
     factors = {gain.path: gain.factor for gain in controller.tunables.values()}
     if friction and isinstance(controller, FrictionCompensation):
         factors |= {
-                f"observer.friction.{name}.{side}": FRICTION_FACTOR
-                for name in (
-                    "coulomb_screw", "load_coefficient", "breakaway_gap", "stribeck_velocity", "viscous",
-                    "bristle_stiffness", "bristle_damping",
-                )
-                for side in ("positive", "negative")
-            }  # fmt: skip
+            f"{name}.{side}": FRICTION_FACTOR
+            for name, declared, _ in quantities(controller.observer.friction, "observer.friction")
+            if declared.directional
+            for side in ("positive", "negative")
+        }
     return factors
+
+
+def gain_names(controller: Controller, space: SearchSpace) -> dict[str, str]:
+    """What a controller calls the parameters of its space, by their paths; friction by the last parts of its path."""
+    names = {gain.path: name for name, gain in controller.tunables.items()}
+    return {free.path: names.get(free.path, short) for free, short in zip(space.free, space.names, strict=True)}
+
+
+def gain_units(controller: Controller, space: SearchSpace) -> list[str]:
+    """The units of the parameters of its space, as they are declared."""
+    units = {path: declared.unit for path, declared, _ in quantities(controller)}
+    return [units[parameter.quantity] for parameter in space.free]
 
 
 @dataclass(frozen=True)
@@ -89,7 +99,8 @@ class GainSearch:
     """The tuned controller, each gain before and after, and what stood in the way of better ones."""
 
     controller: Controller
-    names: list[str]
+    names: list[str]  # a gain's own; of a friction parameter the last parts of its path
+    units: list[str]
     before: Float[np.ndarray, " k"]
     after: Float[np.ndarray, " k"]
     at_bound: list[str]
@@ -201,6 +212,7 @@ def _gain_search(
         for name, prices in result.multipliers.items()
         if float(np.sum(prices)) > 1e-3 * objective
     ]
+    names = gain_names(controller, space)
     values = np.asarray(space.values(result.theta))
     # a step of theta that moves the logarithm of each value by one, and how far that goes for a share of the objective
     per_log = 1.0 / np.diag(
@@ -210,10 +222,11 @@ def _gain_search(
     reach = np.sqrt(2.0 * TOLERATED_LOSS * objective / np.maximum(curvature, 1e-300))
     return GainSearch(
         controller=jax.tree.map(float, space.insert(as_arrays(controller), result.theta)),
-        names=space.names,
+        names=list(names.values()),
+        units=gain_units(controller, space),
         before=np.asarray(space.values(np.zeros_like(result.theta))),
         after=values,
-        at_bound=space.at_bound(result.theta),
+        at_bound=[names[path] for path in space.near_bound(result.theta)],
         point=result.linearised.point,
         initial_point=initial_point,
         binding=sorted(binding, key=lambda requirement: -requirement.gain),

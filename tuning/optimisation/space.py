@@ -27,6 +27,11 @@ class FreeParameter(NamedTuple):
     low: float
     high: float
 
+    @property
+    def quantity(self) -> str:
+        """The path of the parameter as it is declared, of which this may be one direction."""
+        return self.path.removesuffix(".positive").removesuffix(".negative")
+
 
 class SearchSpace(NamedTuple):
     """Free parameters as one unbounded vector: theta = 0 is where each started, and no theta leaves the bounds.
@@ -68,10 +73,6 @@ class SearchSpace(NamedTuple):
         share = np.asarray(jax.nn.sigmoid(jnp.asarray(theta) + self.origin))
         return [free.path for free, s in zip(self.free, share, strict=True) if s < within or s > 1 - within]
 
-    def at_bound(self, theta: Float[np.ndarray, " k"]) -> list[str]:
-        """The names of those in `near_bound`."""
-        return [_short(path) for path in self.near_bound(theta)]
-
 
 def _short(path: str) -> str:
     parts = path.split(".")
@@ -93,8 +94,9 @@ def search_space(model: eqx.Module, bounds: Sequence[FreeParameter]) -> SearchSp
     """The space of these free parameters, started where `model` has them."""
     known = {name for name, *_ in quantities(model)}
     origin = []
-    for path, low, high in bounds:
-        if path.removesuffix(".positive").removesuffix(".negative") not in known:
+    for bound in bounds:
+        path, low, high = bound
+        if bound.quantity not in known:
             raise ParameterError(f"no parameter '{path}' here; known: {', '.join(sorted(known))}")
         value = _value(model, path)
         if not low < value < high:

@@ -25,7 +25,7 @@ from tuning.gains.sequential import (
     _solve_subproblem,
     search,
 )
-from tuning.gains.tune import SearchOptions, default_space, tune
+from tuning.gains.tune import SearchOptions, default_space, gain_names, gain_units, tune
 from tuning.optimisation.space import search_space
 
 CONTROLLERS = ["PD", "DOBVSC", "PD+FF+DOB", "PD+FC", "PD+FC+LE", "PD+FC+LS"]
@@ -127,6 +127,25 @@ def test_every_controller_has_gains_to_tune(name):
     again = space.insert(as_arrays(given), np.zeros(len(values)))
     for ours, theirs in zip(jax.tree.leaves(again), jax.tree.leaves(as_arrays(given)), strict=True):
         assert float(ours) == pytest.approx(float(theirs), rel=1e-12)
+
+
+def in_own_words(given, *, friction=False):
+    """The names and units of what is tuned of a controller."""
+    space = default_space(given, friction=friction)
+    return list(gain_names(given, space).values()), gain_units(given, space)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_gains_are_called_as_the_controller_calls_them(name):
+    given = paper.controllers(drive())[name]
+    assert in_own_words(given)[0] == list(given.tunables)
+
+
+def test_what_is_tuned_has_the_unit_of_its_declaration():
+    names, units = in_own_words(controller(), friction=True)
+    told = dict(zip(names, units, strict=True))
+    assert (told["kp"], told["kd"], told["Q_load"], told["R"]) == ("N/m", "N*s/m", "N^2", "m^2")
+    assert (told["viscous.positive"], told["load_coefficient.negative"]) == ("N*s/m", "1")
 
 
 def test_friction_can_be_tuned_along_in_each_direction():

@@ -46,8 +46,8 @@ def test_a_parameter_per_direction_moves_in_both_or_in_one():
 
 def test_parameters_near_their_bounds_are_named():
     space = space_around(PDGains(1e6, 1e3), {"kp": 2.0, "kd": 2.0})
-    assert space.at_bound(np.array([0.0, 0.0])) == []
-    assert space.at_bound(np.array([9.0, -9.0])) == ["kp", "kd"]
+    assert space.near_bound(np.array([0.0, 0.0])) == []
+    assert space.near_bound(np.array([9.0, -9.0])) == ["kp", "kd"]
 
 
 def test_directions_that_differ_are_not_moved_as_one():
