@@ -77,6 +77,17 @@ def nonnegative_number(text: str, unit: str, where: str) -> float:
     return value
 
 
+def share(value: str | float, where: str, *, at_most: float, may_be_zero: bool = False) -> float:
+    """A share from `3%` or 0.03, as text or as a number: above 0, or 0 where it may be, and up to `at_most`."""
+    text = str(value).strip()
+    found = _plain_number(text.removesuffix("%"))
+    found = math.nan if found is None else found / (100.0 if text.endswith("%") else 1.0)
+    if not (found > 0.0 or (may_be_zero and found == 0.0)) or found > at_most:
+        bounds = f"{'from 0 to' if may_be_zero else 'above 0 and up to'} {at_most:.0%}"
+        raise ParameterError(f"{where} {shortened(text)}: give a share {bounds}, as 3% or 0.03")
+    return found
+
+
 def numbers(text: str, unit: str, where: str) -> list[float]:
     """Numbers separated by ;, where a unit after the last applies to all: `5;10;20 N`."""
     parts = text.split(";")

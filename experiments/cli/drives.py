@@ -83,8 +83,8 @@ def tune(
         ),
     ] = 2,
     spread: Annotated[
-        float, typer.Option(callback=finite, min=0.0, max=0.5, help="Uncertainty of the machine's parameters.")
-    ] = 0.03,
+        str, typer.Option(help="Uncertainty of the machine's parameters, as 3% or 0.03; at most 50%.")
+    ] = "3%",
     gain_margin: Annotated[
         float, typer.Option(callback=finite, min=0.0, help="Smallest gain margin in dB, up and down.")
     ] = 6.0,

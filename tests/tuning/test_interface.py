@@ -52,7 +52,7 @@ def test_an_effect_that_is_not_known_cannot_be_left_out():
         ({"starts": 10**12}, "starts"),
         ({"max_steps": 0}, "max_steps: must be a whole number from 1 on, got 0"),
         ({"machines": 0}, "machines: must be a whole number from 1 on, got 0"),
-        ({"spread": -0.1}, r"spread: must be from 0 to 0\.5, got -0\.1"),
+        ({"spread": -0.1}, r"spread -0\.1: give a share from 0 to 50%, as 3% or 0\.03"),
         ({"seed": -1}, "seed: must be a whole number from 0 on, got -1"),
         ({"speed": 0.0}, r"speed: must be above 0 m/s, got 0\.0"),
         ({"settle": np.nan}, "settle: must be at least 0 s, got nan"),

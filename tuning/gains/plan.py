@@ -20,6 +20,7 @@ from diffdrive.motion import load
 from diffdrive.motion.builders import triangular
 from diffdrive.motion.load import validated_load
 from diffdrive.motion.motion import Limits, Motion, require_within
+from diffdrive.motion.text import share
 from diffdrive.numerics.arrays import as_arrays
 from diffdrive.numerics.pipeline import require_shorter
 from diffdrive.support.bounds import require_count, require_number
@@ -57,7 +58,7 @@ class TuningPlan:
                 f"loads: give the lowest and the highest in N, such as (0.0, 12_600.0), got {short_repr(self.loads)}"
             )
         require_count("load_steps", self.load_steps, 1 if self.loads[0] == self.loads[1] else 2)
-        require_number("spread", self.spread, at_least=0.0, at_most=MAX_SPREAD)
+        spread_of(self.spread)
         require_count("machines", self.machines)
         require_count("seed", self.seed, at_least=0)
         require_number("settle", self.settle, "s", at_least=0.0)
@@ -81,6 +82,11 @@ class TuningPlan:
         start = motion.position[0]
         scaled = start + factor * (motion.position - start)
         return Motion(motion.time, scaled, factor * motion.velocity, factor * motion.acceleration, motion.name)
+
+
+def spread_of(value: str | float) -> float:
+    """The spread of a plan from `3%` or 0.03; raises `ParameterError` for what is none."""
+    return share(value, "spread", at_most=MAX_SPREAD, may_be_zero=True)
 
 
 def reversal(speed: float, rate: float, duration: float = DURATION) -> Motion:

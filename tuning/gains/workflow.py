@@ -5,7 +5,7 @@ from pathlib import Path
 from diffdrive.axis import Axis
 from diffdrive.motion.motion import Motion
 from tuning.gains.objective import Objective
-from tuning.gains.plan import SETTLE, TuningPlan
+from tuning.gains.plan import SETTLE, TuningPlan, spread_of
 from tuning.gains.requirements import Requirements
 from tuning.gains.result import TuningResult, tuning_result
 from tuning.gains.setup import set_up
@@ -25,7 +25,7 @@ def tune(
     requirements: Requirements = Requirements(),
     objective: Objective = Objective(),
     friction: bool = False,
-    spread: float = 0.03,
+    spread: str | float = 0.03,
     machines: int = 2,
     settle: float | None = None,
     starts: int = STARTS,
@@ -49,7 +49,7 @@ def tune(
         requirements: Margins, command noise and load error that the tuned loop must keep.
         objective: What is minimised; by default the RMS tracking error.
         friction: Tune what the observer believes of the friction along.
-        spread: Relative deviation of the machines' parameters from the axis's, at most 0.5.
+        spread: Relative deviation of the machines' parameters from the axis's, such as `"3%"` or 0.03; at most 0.5.
         machines: How many machines it is tuned on, the axis's own among them.
         settle: From when on errors count (s); by default a third of the motion, at most 0.4 s.
         starts: Starting points of the search.
@@ -74,8 +74,8 @@ def tune(
     if settle is None:
         settle = SETTLE if motion is None else min(SETTLE, motion.duration / 3.0)
     plan = TuningPlan(
-        speed=speed, loads=loads, load_steps=load_steps, spread=spread, machines=machines, seed=seed, motion=motion,
-        settle=settle,
+        speed=speed, loads=loads, load_steps=load_steps, spread=spread_of(spread), machines=machines, seed=seed,
+        motion=motion, settle=settle,
     )  # fmt: skip
     options = SearchOptions(starts, seed, max_steps)
     with reporting(progress) as tell:

@@ -2,11 +2,9 @@
 
 from collections.abc import Iterable, Mapping
 
-import numpy as np
-
-from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import quantities
+from diffdrive.motion.text import share
 from tuning.sweeps.identified import Uncertainty
 from tuning.sweeps.varied import MAX_LOG_DEVIATION, known_quantities
 
@@ -34,8 +32,8 @@ def all_that_varies(
             if quantity in left
         }
     if spread is not None or not distributions:
-        share = DEFAULT_SPREAD if spread is None else _share(spread)
-        distributions |= dict.fromkeys(_not_varied(drive, distributions), f"lognormal:{100.0 * share:.12g}%")
+        deviation = DEFAULT_SPREAD if spread is None else share(spread, "spread", at_most=MAX_LOG_DEVIATION)
+        distributions |= dict.fromkeys(_not_varied(drive, distributions), f"lognormal:{100.0 * deviation:.12g}%")
     return Uncertainty(distributions, correlation)
 
 
@@ -46,18 +44,6 @@ def _overlap(name: str, other: str) -> bool:
 
 def _sides(name: str) -> list[str]:
     return [f"{name}.positive", f"{name}.negative"]
-
-
-def _share(spread: str | float) -> float:
-    """A relative deviation from `3%` or 0.03."""
-    try:
-        text = str(spread)
-        share = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
-    except ValueError:
-        share = np.nan
-    if not 0.0 < share <= MAX_LOG_DEVIATION:
-        raise ParameterError(f"spread {spread}: give a share above 0 and up to {MAX_LOG_DEVIATION:.0%}, as 3% or 0.03")
-    return share
 
 
 def _not_varied(drive: Drive, varied: Iterable[str]) -> list[str]:

@@ -111,6 +111,7 @@ def test_quieter_costs_tracking(done):
         ("--noise", "-3 N", "--noise -3 N: must be 0 or more"),
         ("--load-error", "-1 N", "--load-error -1 N: must be 0 or more"),
         ("--load-error", "100 N", "load_error: this controller estimates no load"),
+        ("--spread", "60%", "spread 60%: give a share from 0 to 50%, as 3% or 0.03"),
         ("--noise", "0 N", "command_noise: must be above 0 N"),
     ],
 )
