@@ -69,7 +69,7 @@ def demo(out: Path | None, *, emps_folder: Path | None = None, quick: bool = Fal
         _simulate(report, axis)
         _differentiate(report, axis)
         report.say("Tuning Kp, Kd, Q, R and K_w over loads from 0 to 12.6 kN, within stability margins.")
-        tune_and_report(axis, report, starts=1 if quick else STARTS)
+        tune_and_report(axis, report, loads=(0.0, 12_600.0), starts=1 if quick else STARTS)
         folder = emps_folder or emps.find_folder()
         if folder is None:
             report.say(

@@ -43,7 +43,7 @@ class TuningPlan:
     """
 
     speed: float = 0.010
-    loads: tuple[float, float] = (0.0, 12_600.0)  # the lowest and the highest
+    loads: tuple[float, float] = (0.0, 0.0)  # the lowest and the highest
     load_steps: int = 4  # evenly spaced between them
     spread: float = 0.03
     machines: int = 2  # nominal, and others drawn within the spread

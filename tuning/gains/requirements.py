@@ -119,7 +119,7 @@ class OperatingPoints(NamedTuple):
 def operating_points(drives: Sequence[Drive], speeds: Sequence[float], loads: Sequence[float]) -> OperatingPoints:
     """Every machine at every speed (m/s, both directions; 0 is standstill) under every load (N)."""
     velocities = sorted({sign * speed for speed in speeds for sign in (1.0, -1.0)})
-    grid = [(drive, v, w) for drive in drives for v in velocities for w in loads]
+    grid = [(drive, v, w) for drive in drives for v in velocities for w in dict.fromkeys(loads)]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(as_arrays(smooth(drive)) for drive, _, _ in grid))
     return OperatingPoints(stacked, np.array([v for _, v, _ in grid]), np.array([w for *_, w in grid], float))
 

@@ -20,7 +20,7 @@ def tune(
     motion: Motion | None = None,
     *,
     speed: float = 0.010,
-    loads: tuple[float, float] = (0.0, 12_600.0),
+    loads: tuple[float, float] = (0.0, 0.0),
     load_steps: int = 4,
     requirements: Requirements = Requirements(),
     objective: Objective = Objective(),
@@ -44,7 +44,7 @@ def tune(
         axis: The drive, and the controller with the gains to start from.
         motion: What it is tuned on, at the axis's rate; by default a reversal at `speed`.
         speed: Of that reversal (m/s).
-        loads: Lowest and highest force on the guides (N).
+        loads: Lowest and highest force on the guides (N), beside the table's own; none by default.
         load_steps: Loads that it is tuned under, evenly spaced between these two; at least 2 where they differ.
         requirements: Margins, command noise and load error that the tuned loop must keep.
         objective: What is minimised; by default the RMS tracking error.
@@ -66,7 +66,7 @@ def tune(
         ResultError: The result is not accepted, with `throw`.
 
     Examples:
-        >>> best = tune(axis, lap, requirements=Requirements(phase_margin=35.0))
+        >>> best = tune(axis, lap, loads=(0.0, 8_000.0), requirements=Requirements(phase_margin=35.0))
         >>> best.held_out.rms_after, best.margins.phase_margin
         >>> best.axis.write("tuned.toml")
 

@@ -37,7 +37,7 @@ print(dd.simulate(given, lap, load=8_000.0))
 
 # %%
 required = tuning.Requirements(phase_margin=35.0, command_noise=20.0)
-best = tuning.tune(given, lap, requirements=required, starts=1, max_steps=8)
+best = tuning.tune(given, lap, loads=(0.0, 12_600.0), requirements=required, starts=1, max_steps=8)
 best
 
 # %% [markdown]

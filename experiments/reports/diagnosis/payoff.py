@@ -26,7 +26,7 @@ COLUMNS = ("mean_rms_um", "worst_peak_um", "command_noise_N", "phase_deg", "gain
 CAPTION = "On the drive with what was found, in scenarios not tuned on"
 
 
-def payoff(report: Report, nominal: Axis, augmented: Axis, plan: TuningPlan = TuningPlan()) -> dict[str, GainFigures]:
+def payoff(report: Report, nominal: Axis, augmented: Axis, plan: TuningPlan) -> dict[str, GainFigures]:
     """Tune on both drives and judge the gains as given and both results on the augmented one.
 
     The tunings' own figures and tables go to the folders tuned-nominal and tuned-augmented of `report`. Raises what

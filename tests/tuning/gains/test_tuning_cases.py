@@ -1,6 +1,7 @@
 """What is tuned on and what is held out share nothing; the random starts of the study stay in their two decades."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
@@ -19,8 +20,11 @@ from experiments.studies.tuning_study.study import (
     tuning_study,
 )
 from tuning.gains.plan import OFF_GRID_FACTOR, TuningPlan, held_out_scenarios, machines, reversal, training_scenarios
+from tuning.gains.requirements import operating_points
 from tuning.gains.sequential import FEASIBILITY_TOLERANCE
 from tuning.gains.tune import default_space
+
+PLAN = TuningPlan(loads=(0.0, 12_600.0))
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +33,7 @@ def description():
 
 
 def test_held_out_scenarios_share_neither_load_nor_seed_with_those_tuned_on(description):
-    on, off = training_scenarios(description, TuningPlan()), held_out_scenarios(description, TuningPlan())
+    on, off = training_scenarios(description, PLAN), held_out_scenarios(description, PLAN)
     assert not {one.seed for one in on} & {one.seed for one in off}
     assert len({one.seed for one in on + off}) == len(on + off)
     assert not {one.name for one in on} & {one.name for one in off}
@@ -52,14 +56,14 @@ def test_under_a_single_load_another_machine_is_held_out_and_nothing_comes_twice
         for one in on + off
     ]
     assert all(one not in tried[:k] for k, one in enumerate(tried))
+    assert list(operating_points([description.drive], (0.0, 0.01), plan.loads).velocity) == [-0.01, 0.0, 0.01]
 
 
 def test_the_held_out_machine_was_not_tuned_on(description):
-    on = {tuple(jax.tree.leaves(one.drive)) for one in training_scenarios(description, TuningPlan(machines=4))}
+    plan = replace(PLAN, machines=4)
+    on = {tuple(jax.tree.leaves(one.drive)) for one in training_scenarios(description, plan)}
     strangers = {
-        tuple(jax.tree.leaves(one.drive))
-        for one in held_out_scenarios(description, TuningPlan(machines=4))
-        if "other" in one.name
+        tuple(jax.tree.leaves(one.drive)) for one in held_out_scenarios(description, plan) if "other" in one.name
     }
     assert len(on) == 4
     assert not on & strangers
