@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path, PurePath
 from typing import cast
 
@@ -91,32 +91,20 @@ class ColumnMapping:
         except ValueError as error:
             raise LogError(f"{where}: {error}") from None
 
-    def updated(
-        self, columns: Mapping[str, str], units: Mapping[str, str], shifts: Mapping[str, int]
-    ) -> "ColumnMapping":
-        """The mapping with these put over its own; raises `LogError` for a channel or unit that does not exist."""
-        more = parse_mapping(dict(columns), dict(units), dict(shifts))
-        gains = {key: getattr(more, key) for key in FORCE_PER if key in units}
-        return dataclasses.replace(
-            self, columns=self.columns | more.columns, units=self.units | more.units, shifts=self.shifts | more.shifts,
-            **gains,
-        )  # fmt: skip
-
     def overridden(
-        self, columns: Iterable[str] = (), units: Iterable[str] = (), shifts: Iterable[str] = ()
+        self, columns: Mapping[str, str], units: Mapping[str, object], shifts: Mapping[str, int]
     ) -> "ColumnMapping":
-        """The mapping with a command line's `--column reference=qg`, `--unit command=V` and `--shift command=-1`."""
-        new_columns, new_units = _assignments(columns, "--column"), _assignments(units, "--unit")
-        gains = {key: _parse_gain(key, new_units.pop(key), "--unit") for key in FORCE_PER if key in new_units}
-        new_shifts = {key: _parse_samples(key, samples) for key, samples in _assignments(shifts, "--shift").items()}
-        # a shift that the command line states for all logs replaces the file's for a single one
-        kept_shifts = {
-            key: samples for key, samples in self.shifts.items() if log_and_channel(key)[1] not in new_shifts
-        }
-        return ColumnMapping(
-            self.columns | new_columns, self.units | new_units,
-            gains.get("force_per_volt", self.force_per_volt), gains.get("force_per_ampere", self.force_per_ampere),
-            kept_shifts | new_shifts,
+        """The mapping with these in the place of its own; `units` may have force_per_volt and force_per_ampere, too.
+
+        A shift of a channel in all logs replaces those in single ones. Raises `LogError` as the mapping itself.
+        """
+        gains = {key: _parse_gain(key, units[key]) for key in FORCE_PER if key in units}
+        channel_units = {key: cast(str, unit) for key, unit in units.items() if key not in FORCE_PER}
+        kept = {key: samples for key, samples in self.shifts.items() if log_and_channel(key)[1] not in shifts}
+        # the whole is checked, not what overrides: a unit in volts may rest on the force per volt that is there already
+        return dataclasses.replace(
+            self, columns=self.columns | dict(columns), units=self.units | channel_units,
+            shifts=kept | dict(shifts), **gains,
         )  # fmt: skip
 
 
@@ -143,14 +131,8 @@ def parse_mapping(columns: dict[str, object], units: dict[str, object], shifts: 
     for name, table in (("columns", columns), ("units", units), ("shifts", shifts)):
         if not isinstance(table, dict):
             raise LogError(f"[{name}] must be a table, got {short_repr(table)}")
-    gains = {key: _parse_gain(key, units[key], "[units]") for key in FORCE_PER if key in units}
-    column_units = {key: unit for key, unit in units.items() if key not in FORCE_PER}
     # the values are checked where the mapping is made
-    names, channel_units = cast(dict[str, str], dict(columns)), cast(dict[str, str], column_units)
-    return ColumnMapping(
-        names, channel_units, gains.get("force_per_volt"), gains.get("force_per_ampere"),
-        cast(dict[str, int], dict(shifts)),
-    )  # fmt: skip
+    return ColumnMapping().overridden(cast(dict[str, str], columns), units, cast(dict[str, int], shifts))
 
 
 def mapping_tables(mapping: ColumnMapping) -> dict[str, dict[str, object]]:
@@ -162,7 +144,7 @@ def mapping_tables(mapping: ColumnMapping) -> dict[str, dict[str, object]]:
     return {name: table for name, table in tables.items() if table}
 
 
-def _parse_gain(key: str, value: object, where: str) -> float:
+def _parse_gain(key: str, value: object) -> float:
     unit = f"N/{FORCE_PER[key]}"
     if isinstance(value, str):
         try:
@@ -173,37 +155,10 @@ def _parse_gain(key: str, value: object, where: str) -> float:
         try:
             return to_si(value, unit)
         except ValueError as error:
-            raise LogError(f"{where} {key}: {error}") from None
+            raise LogError(f"[units] {key}: {error}") from None
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise LogError(f"{where} {key}: must be a number in {unit}, got {short_repr(value)}")
+        raise LogError(f"[units] {key}: must be a number in {unit}, got {short_repr(value)}")
     try:
         return float(value)
     except OverflowError:
-        raise LogError(f"{where} {key}: {short_repr(value)} is larger than any number of double precision") from None
-
-
-def _assignments(texts: Iterable[str], option: str) -> dict[str, str]:
-    assignments: dict[str, str] = {}
-    for text in texts:
-        channel, equals, value = (part.strip() for part in _split_assignment(text, option))
-        if not (channel and equals and value):
-            raise LogError(f"{option} {text}: write CHANNEL=VALUE, such as {_EXAMPLE_OF[option]}")
-        if channel in assignments:
-            raise LogError(f"{option} {text}: {channel} is given twice")
-        assignments[channel] = value
-    return assignments
-
-
-def _split_assignment(text: str, option: str) -> tuple[str, str, str]:
-    """At the sign that is no part of a log's name, or of a unit or a column."""
-    return text.rpartition("=") if option == "--shift" else text.partition("=")
-
-
-def _parse_samples(channel: str, text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise LogError(f"--shift {channel}={text}: write a whole number of samples, such as {channel}=-1") from None
-
-
-_EXAMPLE_OF = {"--column": "reference=qg", "--unit": "command=V", "--shift": "command=-1"}
+        raise LogError(f"[units] {key}: {short_repr(value)} is larger than any number of double precision") from None

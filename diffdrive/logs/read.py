@@ -79,7 +79,7 @@ def read_log(
     """
     mapping = mapping or (ColumnMapping() if axis is None else axis.mapping)
     if columns or units or shifts:
-        mapping = mapping.updated(columns or {}, units or {}, shifts or {})
+        mapping = mapping.overridden(columns or {}, units or {}, shifts or {})
     rate = rate if rate is not None or axis is None else axis.rate
     file = Path(source) if isinstance(source, str | Path) else None
     name = name or ("log" if file is None else file.stem)

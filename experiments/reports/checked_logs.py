@@ -6,10 +6,10 @@ from pathlib import Path
 
 from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import read_axis
-from diffdrive.errors import ParameterError
+from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log, read_logs
 from diffdrive.logs.checks.finding import SEVERITIES, Finding
-from diffdrive.logs.mapping import log_and_channel, matches_log
+from diffdrive.logs.mapping import ColumnMapping, log_and_channel, matches_log
 from diffdrive.motion.text import number
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs, check_logs, require_sound
@@ -29,7 +29,40 @@ def axis_with_overrides(
         log, _ = log_and_channel(text.rpartition("=")[0])
         if not any(matches_log(log, one) for one in logs):
             raise ParameterError(f"--shift {text}: no such log; the logs are {', '.join(one.name for one in logs)}")
-    return replace(description, mapping=description.mapping.overridden(columns, units, shifts))
+    return replace(description, mapping=mapping_with_options(description.mapping, columns, units, shifts))
+
+
+def mapping_with_options(
+    mapping: ColumnMapping, columns: Sequence[str] = (), units: Sequence[str] = (), shifts: Sequence[str] = ()
+) -> ColumnMapping:
+    """The mapping with `--column reference=qg`, `--unit command=V` and `--shift command=-1` over its own."""
+    new_shifts = {key: _samples(key, text) for key, text in _assignments(shifts, "--shift").items()}
+    return mapping.overridden(_assignments(columns, "--column"), _assignments(units, "--unit"), new_shifts)
+
+
+_EXAMPLE_OF = {"--column": "reference=qg", "--unit": "command=V", "--shift": "command=-1"}
+
+
+def _assignments(texts: Sequence[str], option: str) -> dict[str, str]:
+    """Values by channel from `CHANNEL=VALUE`."""
+    assignments: dict[str, str] = {}
+    for text in texts:
+        # at the sign that is no part of a log's name, or of a unit or a column
+        parts = text.rpartition("=") if option == "--shift" else text.partition("=")
+        channel, equals, value = (part.strip() for part in parts)
+        if not (channel and equals and value):
+            raise LogError(f"{option} {text}: write CHANNEL=VALUE, such as {_EXAMPLE_OF[option]}")
+        if channel in assignments:
+            raise LogError(f"{option} {text}: {channel} is given twice")
+        assignments[channel] = value
+    return assignments
+
+
+def _samples(channel: str, text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise LogError(f"--shift {channel}={text}: write a whole number of samples, such as {channel}=-1") from None
 
 
 def read_and_check(

@@ -12,6 +12,7 @@ from diffdrive.logs import read_log, read_logs, write_log
 from diffdrive.logs.checks.examine import examine
 from diffdrive.logs.clocks.shifts import shift_channels
 from diffdrive.logs.mapping import ColumnMapping, parse_mapping
+from experiments.reports.checked_logs import mapping_with_options
 from tests.support.sound_log import DRIVE, RATE, SOUND, delayed, replaced
 from tests.support.written_log import COLUMNS, COMMAND, NAMES, POSITION, REFERENCE, TIME, N, rows
 
@@ -62,10 +63,12 @@ def test_of_two_logs_of_one_name_the_folder_tells_which_and_goes_before_the_name
     assert (here.name, there.name) == (f"{tmp_path.name}/late", "monday/late")
 
 
-def test_what_the_command_line_says_of_all_logs_goes_before_what_the_file_says_of_one():
+def test_what_is_stated_for_all_logs_goes_before_what_the_file_says_of_one(written):
     file = ColumnMapping(shifts={"lap=5:command": 1, "lap2:position": 2})
-    assert file.overridden(shifts=["command=0"]).shifts == {"lap2:position": 2, "command": 0}
-    assert file.overridden(shifts=["lap=5:command=-3"]).shifts == {"lap=5:command": -3, "lap2:position": 2}
+    assert file.overridden({}, {}, {"command": 0}).shifts == {"lap2:position": 2, "command": 0}
+    assert file.overridden({}, {}, {"lap=5:command": -3}).shifts == {"lap=5:command": -3, "lap2:position": 2}
+    of_one = ColumnMapping(shifts={"late:command": 2})
+    assert read_log(written, mapping=of_one, shifts={"command": -1}).shifts == {"command": -1}
 
 
 def test_what_is_not_moved_is_as_it_was(written):
@@ -113,7 +116,8 @@ def test_the_options_that_a_finding_names_mend_it(channel, late, already, key, t
     options = re.findall(r"--shift (\S+?)[,)]", finding.remedy)
     assert len(options) == 1
     plain = {name: by for name, by in drive.mapping.shifts.items() if "/" not in name}  # which would go before it
-    assert not shifts_of(dataclasses.replace(drive, mapping=ColumnMapping(shifts=plain).overridden(shifts=options)))
+    mended = mapping_with_options(ColumnMapping(shifts=plain), shifts=options)
+    assert not shifts_of(dataclasses.replace(drive, mapping=mended))
     ((named, by),) = re.findall(r'"(\S+)" = (\S+) in \[shifts\]', finding.remedy)
     assert f"{named}={int(by):+d}" == options[0]
 
@@ -145,11 +149,6 @@ def test_what_was_injected_moves_with_the_command_that_holds_it(tmp_path):
         (lambda: ColumnMapping(shifts={"command": 0.5}), r"\[shifts\] command: must be a whole number of samples"),
         (lambda: parse_mapping({}, {}, {"command": "late"}), r"\[shifts\] command: must be a whole number"),
         (lambda: parse_mapping({}, {}, 3), r"\[shifts\] must be a table"),
-        (lambda: ColumnMapping().overridden(shifts=["command=half"]), r"--shift command=half: write a whole number"),
-        (
-            lambda: ColumnMapping().overridden(shifts=["command"]),
-            r"--shift command: write CHANNEL=VALUE, such as command=-1",
-        ),
     ],
 )
 def test_what_is_no_shift_is_refused(build, says):
@@ -178,4 +177,4 @@ def test_a_drive_file_carries_it_and_the_command_line_overrides_it(tmp_path):
     assert described.mapping.shifts == {"command": -1, "position": 2}
     write_axis(tmp_path / "drive.toml", described)
     assert read_axis(tmp_path / "drive.toml").mapping == described.mapping
-    assert described.mapping.overridden(shifts=["command=+3"]).shifts == {"command": 3, "position": 2}
+    assert described.mapping.overridden({}, {}, {"command": 3}).shifts == {"command": 3, "position": 2}

@@ -220,17 +220,9 @@ BAD_MAPPINGS = {
         lambda: ColumnMapping(force_per_volt=0.0),
         "force_per_volt: must be a finite number of N/V other",
     ),
-    "option": (
-        lambda: ColumnMapping().overridden(["position"]),
-        "--column position: write CHANNEL=VALUE, such as reference",
-    ),
-    "option twice": (
-        lambda: ColumnMapping().overridden((), ["time=s", "time=ms"]),
-        "--unit time=ms: time is given twice",
-    ),
-    "option's gain": (
-        lambda: ColumnMapping().overridden((), ["force_per_volt=3 m"]),
-        "--unit force_per_volt: '3 m' has the",
+    "gain of another unit": (
+        lambda: ColumnMapping().overridden({}, {"force_per_volt": "3 m"}, {}),
+        r"\[units\] force_per_volt: '3 m' has the",
     ),
 }
 
@@ -253,11 +245,17 @@ def test_a_mapping_that_does_not_fit_the_file_is_refused(raw, tmp_path):
         read_log(tmp_path / "two.mat", mapping=ColumnMapping(NAMED | {"position": "pos"}))
 
 
-def test_the_command_line_goes_over_the_file():
+def test_what_is_stated_for_a_log_goes_over_the_file():
     base = ColumnMapping({"time": "t", "position": "x"}, {"position": "mm"})
-    over = base.overridden(["position=qm"], ["command=V", "force_per_volt=35.2"])
+    over = base.overridden({"position": "qm"}, {"command": "V", "force_per_volt": 35.2}, {})
     assert over == ColumnMapping({"time": "t", "position": "qm"}, {"position": "mm", "command": "V"}, 35.2)
-    assert base.overridden((), ["force_per_ampere=0.5 kN/A"]).force_per_ampere == pytest.approx(500.0)
+    assert base.overridden({}, {"force_per_ampere": "0.5 kN/A"}, {}).force_per_ampere == pytest.approx(500.0)
+
+
+def test_volts_may_be_stated_for_a_log_whose_axis_has_the_force_per_volt():
+    axis = described(ColumnMapping(force_per_volt=35.2))
+    columns = {"time": SHORT, "position": SHORT, "command": np.ones(10)}
+    np.testing.assert_allclose(read_log(columns, axis, units={"command": "V"}, rate=1e3).command, 35.2)
 
 
 def test_the_mapping_wins_over_the_header_and_says_so(tmp_path):
@@ -343,7 +341,7 @@ def test_emps_is_read_right():
 
 @needs_emps
 def test_emps_pulses_are_volts_whatever_their_name_says():
-    mapping = EMPS_MAPPING.overridden(["disturbance=pulses_N"], ["disturbance=1.0139 V"])
+    mapping = EMPS_MAPPING.overridden({"disturbance": "pulses_N"}, {"disturbance": "1.0139 V"}, {})
     log = read_log(EMPS.with_name("DATA_EMPS_PULSES.mat"), mapping=mapping, rate=1000.0)
     assert np.max(log.disturbance) == pytest.approx(5 * 1.0139 * 35.15065)
     assert "disturbance: the file says N, [units] says 1.0139 V, which was taken" in log.notes
