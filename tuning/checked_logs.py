@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.errors import LogError
-from diffdrive.logs import Log, read_log
+from diffdrive.errors import LogError, ParameterError
+from diffdrive.logs import Log, read_logs
 from diffdrive.logs.checks.examine import Finding, examine, examine_together
+from diffdrive.logs.mapping import matches_log
+from diffdrive.support.messages import suggestion
 from diffdrive.support.rates import CLOCK_TOLERANCE, is_same_rate
 from tuning.identification.problem import MIN_LANE_SAMPLES
 
@@ -32,21 +34,63 @@ class CheckedLogs:
         return [(log, finding) for log, finding in self.findings if finding.severity != "note"]
 
 
-def as_logs(axis: Axis, sources: object) -> tuple[Log, ...]:
-    """One or several logs: as they are, or read with the axis's columns and units. Raises `LogError`."""
+def checked(axis: Axis, *groups: object, loads: Mapping[str, float] | None = None) -> list[CheckedLogs]:
+    """Each group of logs (`Log`, or what `read_logs` reads) looked over beside those before it.
+
+    `CheckedLogs` are left as they are, None is no logs. `loads` (N), by keys as `which_log` takes them, are what was on
+    the table where a log does not say it. Raises `LogError`, and `ParameterError` for a load of no log or of several.
+    """
+    read = [[] if group is None or isinstance(group, CheckedLogs) else _read(axis, group) for group in groups]
+    paths = [path for group in read for path, _ in group]
+    load_of: dict[int, float] = {}
+    for key, load in (loads or {}).items():
+        k = which_log(key, paths, f"loads: {key!r}")
+        if k in load_of:
+            raise ParameterError(f"loads: {key!r}: {paths[k]} is given two loads, under two names")
+        load_of[k] = load
+    found: list[CheckedLogs] = []
+    first = 0
+    for group, named in zip(groups, read, strict=True):
+        logs = [with_load(log, load_of.get(k)) for k, (_, log) in enumerate(named, start=first)]
+        first += len(named)
+        if isinstance(group, CheckedLogs):
+            found.append(group)
+        elif logs:
+            found.append(check_logs(axis, logs, checked_before=[log for one in found for log in one.logs]))
+        else:
+            found.append(CheckedLogs((), ()))
+    return found
+
+
+def which_log(key: str, paths: Sequence[Path], where: str) -> int:
+    """Which log a key names: by its file, or by its name where it has no file, as the keys of [shifts] do.
+
+    `where` begins the `ParameterError` for a key that names none of them, or several.
+    """
+    same = [k for k, path in enumerate(paths) if str(path) == key]
+    named = same or [k for k, path in enumerate(paths) if key and matches_log(key, path)]
+    if not named:
+        raise ParameterError(f"{where}: no such log; {suggestion(key, [path.name for path in paths])}")
+    if len(named) > 1:
+        raise ParameterError(
+            f"{where}: names {len(named)} logs, {', '.join(str(paths[k]) for k in named)}: write the folder, too, such "
+            f"as monday/{paths[named[0]].name}, or read each log under a name of its own"
+        )
+    return named[0]
+
+
+def _read(axis: Axis, sources: object) -> list[tuple[Path, Log]]:
+    """One or several logs, each with its file, or its name where it has none."""
     listed = sources if isinstance(sources, list | tuple) else [sources]
     if not listed:
         raise LogError("no log is given; give one or more")
-    return tuple(source if isinstance(source, Log) else read_log(source, axis) for source in listed)
-
-
-def checked(
-    axis: Axis, logs: object, *, loads: Mapping[str, float] | None = None, checked_before: Sequence[Log] = ()
-) -> CheckedLogs:
-    """`check_logs` of what `as_logs` takes; logs that were looked over are left as they are."""
-    if isinstance(logs, CheckedLogs):
-        return logs
-    return check_logs(axis, as_logs(axis, logs), loads=loads, checked_before=checked_before)
+    unread = [source for source in listed if not isinstance(source, Log)]
+    read = iter(read_logs(unread, axis) if unread else ())
+    logs = [source if isinstance(source, Log) else next(read) for source in listed]
+    return [
+        (Path(source if isinstance(source, str | Path) else log.name), log)
+        for source, log in zip(listed, logs, strict=True)
+    ]
 
 
 def check_logs(
@@ -54,28 +98,25 @@ def check_logs(
     logs: Sequence[Log],
     *,
     files: Sequence[Path] | None = None,
-    loads: Mapping[str, float] | None = None,
     checked_before: Sequence[Log] = (),
 ) -> CheckedLogs:
     """Look logs over before they are used: what in them would mislead.
 
-    `files` are where they are from, if they are, for messages; `loads` (N), by log or file name, what was on the table
-    where the log does not say it; `checked_before` are logs that were looked over before, of the same machine. Raises
-    `LogError` for a log at another rate than the axis's, one too short to be used, and one that is given twice.
+    `files` are where they are from, if they are, for messages; `checked_before` are logs that were looked over before,
+    of the same machine. Raises `LogError` for a log at another rate than the axis's, one too short to be used, and one
+    that is given twice.
     """
     labels = [log.name for log in logs] if files is None else [str(file) for file in files]
-    names = [log.name for log in logs] if files is None else [file.name for file in files]
     for place, log in zip(labels, logs, strict=True):
         _require_rate(place, log, axis.rate)
         _require_length(place, log)
     _require_different(labels, logs, checked_before, None if files is None else [file.resolve() for file in files])
-    logs = tuple(_with_load(log, (loads or {}).get(name)) for name, log in zip(names, logs, strict=True))
     found = [(log.name, finding) for log in logs for finding in examine(log, axis)]
     found += [
         (f"{len(checked_before) + len(logs)} logs", finding)
         for finding in examine_together([*checked_before, *logs], axis)
     ]
-    return CheckedLogs(logs, tuple(found))
+    return CheckedLogs(tuple(logs), tuple(found))
 
 
 def require_sound(checked: CheckedLogs, remedy: str) -> None:
@@ -85,7 +126,8 @@ def require_sound(checked: CheckedLogs, remedy: str) -> None:
         raise LogError(f"{log}: {finding.channel}: {finding.message}; {finding.remedy} ({remedy})")
 
 
-def _with_load(log: Log, load: float | None) -> Log:
+def with_load(log: Log, load: float | None) -> Log:
+    """The log with a constant load (N), or as it is; raises `LogError` where it has one of its own."""
     if load is None:
         return log
     if log.load is not None:

@@ -116,7 +116,8 @@ def log_and_channel(key: str) -> tuple[str, str]:
 
 def matches_log(log: str, path: Path) -> bool:
     """Whether "lap2", "lap2.csv" or "monday/lap2" names a log's file; "" names every one."""
-    suffix, file = PurePath(log).parts, path.resolve()
+    stated, file = Path(log), path.resolve()
+    suffix = (stated.resolve() if stated.is_absolute() or ".." in stated.parts else stated).parts
     return any(
         candidate.parts[len(candidate.parts) - len(suffix) :] == suffix
         for candidate in (file, file.with_name(file.stem))

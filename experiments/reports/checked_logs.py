@@ -12,7 +12,7 @@ from diffdrive.logs.checks.finding import SEVERITIES, Finding
 from diffdrive.logs.mapping import ColumnMapping, log_and_channel, matches_log
 from diffdrive.motion.text import number
 from experiments.reports.report import Report
-from tuning.checked_logs import CheckedLogs, check_logs, require_sound
+from tuning.checked_logs import CheckedLogs, check_logs, require_sound, which_log, with_load
 
 EXTRA = ("motor_position", "velocity", "current", "temperature")  # what identification does not look at
 
@@ -71,20 +71,21 @@ def read_and_check(
     report: Report,
     *,
     name: str,
-    loads: Mapping[str, float] | None = None,
+    loads: Mapping[Path, float] | None = None,
     used: Sequence[str] = (),
     beside: Sequence[Log] = (),
 ) -> CheckedLogs:
     """Read logs, and say what the reader repaired and what is implausible (the table `name`), by the log's name.
 
-    `loads` (N) by file name: what was on the table where no column says it. `used` are channels of `EXTRA` that are
+    `loads` (N) by file: what was on the table where no column says it. `used` are channels of `EXTRA` that are
     looked at after all; `beside` are logs that were read before. Raises `LogError` for a log at another rate than the
     drive file's, one too short to be used and one that is given twice.
     """
     with report.working(f"reading and checking {', '.join(path.name for path in paths)}"):
-        logs = read_logs(paths, description)
-        checked = check_logs(description, logs, files=paths, loads=loads, checked_before=beside)
-    logs, found = checked.logs, list(checked.findings)
+        read = zip(paths, read_logs(paths, description), strict=True)
+        logs = [with_load(log, (loads or {}).get(path)) for path, log in read]
+        checked = check_logs(description, logs, files=paths, checked_before=beside)
+    found = list(checked.findings)
     for log in logs:
         for note in log.notes:
             report.say(f"{log.name}: {note}")
@@ -118,7 +119,7 @@ def read_sound_logs(
     *,
     name: str,
     force: bool,
-    loads: Mapping[str, float] | None = None,
+    loads: Mapping[Path, float] | None = None,
     beside: Sequence[Log] = (),
 ) -> CheckedLogs:
     """Logs that were `read_and_check`; raises `LogError` for a fatal finding, too, unless it is to go on by `force`."""
@@ -130,18 +131,15 @@ def read_sound_logs(
     return checked
 
 
-def parse_loads(texts: Sequence[str], paths: Sequence[Path]) -> dict[str, float]:
-    """Loads (N) by file name from `LOG=FORCE`; raises `ParameterError` for a log that is not there, or named twice."""
-    names = [path.name for path in paths]
-    loads: dict[str, float] = {}
+def parse_loads(texts: Sequence[str], paths: Sequence[Path]) -> dict[Path, float]:
+    """Loads (N) by file from `LOG=FORCE`; raises `ParameterError` for a log that is not there, or named twice."""
+    loads: dict[Path, float] = {}
     for text in texts:
         name, equals, force = text.rpartition("=")
-        name = Path(name.strip()).name
-        if not equals or name not in names:
-            raise ParameterError(
-                f"--load {text}: write LOG=FORCE, such as {names[0]}=8kN; the logs are {', '.join(names)}"
-            )
-        if name in loads or names.count(name) > 1:
-            raise ParameterError(f"--load {text}: {name} is not one log, or is named twice")
-        loads[name] = number(force.strip(), "N", f"--load {text}")
+        if not equals:
+            raise ParameterError(f"--load {text}: write LOG=FORCE, such as {paths[0].name}=8kN")
+        path = paths[which_log(name.strip(), paths, f"--load {text}")]
+        if path in loads:
+            raise ParameterError(f"--load {text}: {path} is given two loads")
+        loads[path] = number(force.strip(), "N", f"--load {text}")
     return loads

@@ -124,14 +124,14 @@ def diagnose(
         without: Effects that are not to be considered, by name.
         most_effects: How many are looked for.
         tolerance: Relative uncertainty of the axis's parameters.
-        loads: Force on the guides (N) by the log's name, where the log does not say it.
+        loads: Force on the guides (N) by the log's file or name, where the log does not say it.
         store: A folder where finished parts are kept, from which the same call continues.
         progress: Called with (stage, done, of how many).
         throw: Raise an error where a log is so wrong that no cause was looked for.
 
     Raises:
         LogError: A log cannot be used.
-        ParameterError: No effect has this name.
+        ParameterError: No effect or log has this name.
         ResultError: No cause was looked for, with `throw`.
 
     Examples:
@@ -143,7 +143,7 @@ def diagnose(
     for name in without:
         if name not in EFFECTS:
             raise ParameterError(f"without: no effect {name!r}; known: {', '.join(EFFECTS)}")
-    used = checked(axis, logs, loads=loads)
+    (used,) = checked(axis, logs, loads=loads)
     with reporting(progress) as tell:
         found = diagnose_checked(
             axis, used, without=without, most_effects=most_effects, tolerance=tolerance, store=FolderStore.of(store),

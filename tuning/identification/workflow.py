@@ -146,7 +146,7 @@ def identify(
             `CheckedLogs`, which are not looked over again.
         fixed: Parameters that stay as they are, by path (`plant.mass`) or name.
         bounds: Lowest and highest values of parameters, in SI units.
-        loads: Force on the guides (N) by the log's name, where the log does not say it.
+        loads: Force on the guides (N) by the log's file or name, where the log does not say it.
         held_out: Logs that are only looked at afterwards, in `gaps`.
         starts: Starting points of the search.
         seed: Of the starting points.
@@ -157,7 +157,7 @@ def identify(
 
     Raises:
         LogError: A log cannot be used, or would mislead.
-        ParameterError: No parameter has this name, or the axis has effects, of which identification knows none.
+        ParameterError: No parameter or log has this name, or the axis has effects, of which identification knows none.
         ResultError: The search did not converge, with `throw`.
 
     Examples:
@@ -170,8 +170,7 @@ def identify(
         raise ParameterError(
             f"{axis.name}: [effects] {', '.join(effects)}: identification knows no effects; take them out, or diagnose"
         )
-    used = checked(axis, logs, loads=loads)
-    others = CheckedLogs((), ()) if held_out is None else checked(axis, held_out, loads=loads, checked_before=used.logs)
+    used, others = checked(axis, logs, held_out, loads=loads)
     if not force:
         for several in (used, others):
             require_sound(several, "force=True identifies all the same, and fits that as mass or friction")

@@ -17,7 +17,7 @@ from diffdrive.logs import read_log, write_log
 from diffdrive.logs.write import write_csv
 from experiments.cli.main import app
 from experiments.reports import interruption
-from experiments.reports.checked_logs import read_sound_logs
+from experiments.reports.checked_logs import parse_loads, read_sound_logs
 from experiments.reports.identification.identification import parse_bounds
 from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.readable import interval, readable, significant
@@ -152,9 +152,10 @@ FAULTS = {
     "half a bound": (("--bound", "mass=80"), r"--bound mass=80: write NAME=LOW:HIGH"),
     "bounds reversed": (("--bound", "mass=120:80"), r"--bound mass=120:80: the lower end must be below"),
     "bounded twice": (("--bound", "mass=8:9", "--bound", "mass=9:10"), r"mass is bounded twice"),
-    "load of no log": (("--load", "lop.csv=8kN"), r"--load lop.csv=8kN: write LOG=FORCE, such as lap.csv=8kN"),
+    "load of no log": (("--load", "lop.csv=8kN"), r"--load lop.csv=8kN: no such log; did you mean 'lap.csv'\?"),
+    "load of what log": (("--load", "8kN"), r"--load 8kN: write LOG=FORCE, such as lap.csv=8kN"),
     "load without a number": (("--load", "lap.csv=heavy"), r"--load lap.csv=heavy: "),
-    "loaded twice": (("--load", "lap.csv=8kN", "--load", "lap.csv=9kN"), r"lap.csv is not one log, or is named twice"),
+    "loaded twice": (("--load", "lap.csv=8kN", "--load", "lap.csv=9kN"), r"lap.csv is given two loads"),
     "no such channel": (("--column", "positon=qm"), r"positon: no such channel; did you mean 'position'"),
     "no such column": (("--column", "position=qm"), r"qm"),
 }
@@ -170,16 +171,15 @@ def test_bad_options_are_refused_in_one_line(name, folder):
 
 def test_a_log_without_a_column_for_its_load_is_told_it(folder, tmp_path):
     with Report("loads", tmp_path) as report:
-        given = {"other.csv": 8e3}
         paths = [folder / "lap.csv", folder / "other.csv"]
+        given = parse_loads(["other=8kN"], paths)
         lap, other = read_sound_logs(paths, TRUE, report, name="findings", force=False, loads=given).logs
         assert lap.load is None
         assert np.all(other.load == 8e3)
-        write_log(tmp_path / "loaded.csv", other)
+        loaded = tmp_path / "loaded.csv"
+        write_log(loaded, other)
         with pytest.raises(LogError, match="has a load of its own"):
-            read_sound_logs(
-                [tmp_path / "loaded.csv"], TRUE, report, name="more", force=False, loads={"loaded.csv": 1.0}
-            )
+            read_sound_logs([loaded], TRUE, report, name="more", force=False, loads={loaded: 1.0})
 
 
 def test_a_bound_may_carry_its_unit():
