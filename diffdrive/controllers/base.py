@@ -35,12 +35,12 @@ class Command(NamedTuple):
 class Tunable(NamedTuple):
     """A gain that may be tuned: its dotted path in the controller, and the factor by which a search may move it.
 
-    `is_linear` says that the command is linear in it, the other gains being what they are.
+    `enters_linearly` says that the command is linear in it, the other gains being what they are.
     """
 
     path: str
     factor: float
-    is_linear: bool = False
+    enters_linearly: bool = False
 
 
 class CommandPart(NamedTuple):
@@ -85,7 +85,7 @@ class Controller(eqx.Module):
     @property
     def command_parts(self) -> tuple[CommandPart, ...]:
         """The parts of its command that other gains scale; by default one for each gain that it is linear in."""
-        return tuple(CommandPart(name) for name, tunable in self.tunables.items() if tunable.is_linear)
+        return tuple(CommandPart(name) for name, tunable in self.tunables.items() if tunable.enters_linearly)
 
     def table(self) -> TomlTable:
         """Its keys of [controller] in a drive file, without the kind."""
@@ -211,8 +211,8 @@ class Tracking(eqx.Module):
 
 
 TRACKING_GAINS = {
-    "kp": Tunable("tracking.gains.kp", FEEDBACK_FACTOR, is_linear=True),
-    "kd": Tunable("tracking.gains.kd", FEEDBACK_FACTOR, is_linear=True),
+    "kp": Tunable("tracking.gains.kp", FEEDBACK_FACTOR, enters_linearly=True),
+    "kd": Tunable("tracking.gains.kd", FEEDBACK_FACTOR, enters_linearly=True),
 }
 
 

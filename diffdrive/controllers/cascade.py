@@ -62,7 +62,7 @@ class Cascade(Controller):
 
     @property
     def tunables(self) -> Mapping[str, Tunable]:
-        return {name: Tunable(name, FEEDBACK_FACTOR, is_linear=True) for name in ("kp", "kv", "ki")}
+        return {name: Tunable(name, FEEDBACK_FACTOR, enters_linearly=True) for name in ("kp", "kv", "ki")}
 
     @property
     def is_memoryless(self) -> bool:

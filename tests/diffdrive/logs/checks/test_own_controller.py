@@ -28,7 +28,7 @@ class PI(Controller):
 
     @property
     def tunables(self):
-        return {name: Tunable(name, 30.0, is_linear=True) for name in ("kp", "ki")}
+        return {name: Tunable(name, 30.0, enters_linearly=True) for name in ("kp", "ki")}
 
     def table(self):
         return {"kp": float(self.kp), "ki": float(self.ki)}
