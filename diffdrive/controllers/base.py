@@ -78,9 +78,17 @@ class Controller(eqx.Module):
         return False
 
     @property
-    def is_linear(self) -> bool:
-        """Whether its initial state soon leaves no more than a constant: it has no observer of friction or load."""
+    def has_friction_observer(self) -> bool:
+        """Whether it may estimate friction or load, so that what it assumed at first is forgotten only slowly.
+
+        Without, its initial state soon leaves no more than a constant in the command.
+        """
         return True
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether its command is linear in reference and position: no saturation, no friction that is fed forward."""
+        return False
 
     @property
     def command_parts(self) -> tuple[CommandPart, ...]:

@@ -65,6 +65,14 @@ class Cascade(Controller):
         return {name: Tunable(name, FEEDBACK_FACTOR, enters_linearly=True) for name in ("kp", "kv", "ki")}
 
     @property
+    def has_friction_observer(self) -> bool:
+        return False
+
+    @property
+    def is_linear(self) -> bool:
+        return True
+
+    @property
     def is_memoryless(self) -> bool:
         return float(self.ki) == 0
 

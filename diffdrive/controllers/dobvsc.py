@@ -67,6 +67,10 @@ class DOBVSC(Controller):
         surface_gains = {name: Tunable(name, SURFACE_FACTOR) for name in ("reach", "layer", "slope")}
         return TRACKING_GAINS | {"cutoff": Tunable("observer.cutoff", CUTOFF_FACTOR)} | surface_gains
 
+    @property
+    def has_friction_observer(self) -> bool:
+        return False
+
     def table(self) -> TomlTable:
         return {"cutoff": float(self.observer.cutoff)} | self.tracking.table() | quantity_table(self)
 

@@ -63,6 +63,10 @@ class PDFeedforwardDOB(Controller):
     def tunables(self) -> Mapping[str, Tunable]:
         return TRACKING_GAINS | {"cutoff": Tunable("observer.cutoff", CUTOFF_FACTOR)}
 
+    @property
+    def has_friction_observer(self) -> bool:
+        return False
+
     def table(self) -> TomlTable:
         return {"cutoff": float(self.observer.cutoff)} | self.tracking.table() | quantity_table(self)
 

@@ -68,10 +68,6 @@ class FrictionCompensation(Controller):
         }
         return TRACKING_GAINS | observer_gains
 
-    @property
-    def is_linear(self) -> bool:
-        return False
-
     def table(self) -> TomlTable:
         return self.tracking.table() | self.observer.tables()
 

@@ -32,6 +32,14 @@ class PD(Controller):
         return TRACKING_GAINS
 
     @property
+    def has_friction_observer(self) -> bool:
+        return False
+
+    @property
+    def is_linear(self) -> bool:
+        return True
+
+    @property
     def is_memoryless(self) -> bool:
         return True
 

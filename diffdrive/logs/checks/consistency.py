@@ -106,7 +106,7 @@ def _candidate_explanations(relation: ControllerRelation) -> list[LogExplanation
     if replay is None:
         return []
     output, fit_as_logged = replay
-    has_observer = not relation.axis.controller.is_linear
+    has_observer = relation.axis.controller.has_friction_observer
     explanations = interpretations(relation, hypotheses.as_logged(relation), fit_as_logged)
     for hypothesis, fit in _fit_hypotheses(relation, output, fit_as_logged):
         threshold = CLEAR_OF_TRANSIENT if has_observer and hypothesis.cause not in UNLIKE_TRANSIENT else CLEAR
@@ -195,7 +195,7 @@ def _fit_shifts(relation: ControllerRelation) -> Iterator[tuple[Hypothesis, Robu
     for pair in sorted(fits, key=fits.__getitem__)[: 4 * FINALISTS]:
         if pair != (0, 0):
             yield shift(relation, *pair), relation.fit(as_logged.signals.command, command_of_shift[pair])
-    if relation.after_transient or relation.axis.controller.is_linear:
+    if relation.after_transient or not relation.axis.controller.has_friction_observer:
         for direction in ((1, 1), (1, 0), (0, 1)):
             yield from _fit_fractional_shifts(relation, command_of_shift, direction, fits)
 

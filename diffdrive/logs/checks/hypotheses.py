@@ -248,7 +248,7 @@ def is_on_grid(signal: Signal, step: float) -> bool:
 def lengths(relation: ControllerRelation) -> Iterator[Hypothesis]:
     """Position and reference have one wrong unit, where the controller is not linear: then no factor says so."""
     # an observer fed by the log follows any lengths
-    if relation.axis.controller.is_linear or relation.after_transient:
+    if relation.axis.controller.is_linear or relation.feeds_logged_command:
         return
     logged = relation.logged
     for unit_factor in FACTORS:

@@ -59,6 +59,11 @@ class ControllerRelation:
         reference = log.position if log.reference is None else log.reference
         return ControllerSignals(reference[piece], log.position[piece], log.command[piece], sampling_period(log))
 
+    @property
+    def feeds_logged_command(self) -> bool:
+        """Whether the controller is told the logged command as the force that acted, in the place of its own."""
+        return self.after_transient and self.axis.controller.has_friction_observer
+
     @cached_property
     def arrays(self) -> ControllerAndDrive:
         """The controller and the drive as arrays."""
@@ -75,7 +80,6 @@ class ControllerRelation:
 
         The controller runs at its own rate: signals at a slower one are interpolated between their samples.
         """
-        feeds_logged_command = self.after_transient and not self.axis.controller.is_linear
         upsampling = max(1, round(cases[0].period * self.axis.sampling.rate))
         speed = speed_at(self.log, self.piece.start) / upsampling
         commands: list[Signal] = []
@@ -89,7 +93,7 @@ class ControllerRelation:
                 _upsample(np.stack([case.position for case in batch]), upsampling),
                 batch[0].period / upsampling,
                 speed,
-                _upsample(batch[0].command, upsampling) if feeds_logged_command else None,
+                _upsample(batch[0].command, upsampling) if self.feeds_logged_command else None,
             )
             commands += list(command[:count, ::upsampling])
         return commands

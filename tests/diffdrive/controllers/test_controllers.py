@@ -15,12 +15,14 @@ from diffdrive.controllers import (
     DOBVSC,
     PD,
     Cascade,
+    Command,
     Controller,
     DisturbanceObserver,
     Feedforward,
     FrictionCompensation,
     PDFeedforwardDOB,
     PDGains,
+    Reference,
     Tracking,
 )
 from diffdrive.controllers.base import paper_tracking
@@ -36,6 +38,7 @@ from diffdrive.model.quantity import Directional
 from diffdrive.numerics.arrays import as_arrays
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver
 from diffdrive.observers.load_estimator import FixedLoad, InnovationLoad
+from diffdrive.paper import example_controllers
 
 RATE = 10_000.0
 IDEAL = paper_drive(quantised=False)
@@ -62,6 +65,42 @@ def fed_forward(run: Run) -> np.ndarray:
 
 def assert_command(run: Run, expected: np.ndarray) -> None:
     np.testing.assert_allclose(run.command, expected, rtol=1e-9, atol=1e-9 * np.max(np.abs(expected)))
+
+
+# --- what a controller declares ---------------------------------------------------------------------------------------
+
+KINDS = example_controllers(IDEAL)
+
+
+def commands_of(controller: Controller, factor: float) -> np.ndarray:
+    """The command over a few samples of a stroke whose lengths are multiplied."""
+    state, force, commands = controller.init(jnp.zeros(())), jnp.zeros(()), []
+    for k in range(1, 5):
+        length, speed = factor * 1e-5 * k**2, factor * 2e-5 * k * RATE
+        given = Reference(jnp.asarray(length), jnp.asarray(speed), jnp.asarray(factor * 2e-5 * RATE**2))
+        state, command = controller.step(state, given, jnp.asarray(0.8 * length), force, 1.0 / RATE)
+        force = command.force
+        commands.append(float(force))
+    return np.array(commands)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_controller_that_is_said_to_be_linear_is_and_no_other(kind):
+    """Three times the motion is three times the command."""
+    controller, thrice = KINDS[kind], 3.0 * commands_of(KINDS[kind], 1.0)
+    assert controller.is_linear == np.allclose(commands_of(controller, 3.0), thrice, rtol=1e-9)
+    assert controller.has_friction_observer == isinstance(controller, FrictionCompensation)
+
+
+def test_of_a_controller_that_says_nothing_nothing_is_presumed():
+    class Own(Controller):
+        def init(self, position):
+            return ()
+
+        def step(self, state, reference, position, applied, period):
+            return (), Command(reference.position - position)
+
+    assert (Own().is_linear, Own().is_memoryless, Own().has_friction_observer) == (False, False, True)
 
 
 # --- feedback and feed-forward ----------------------------------------------------------------------------------------
