@@ -9,7 +9,7 @@ import tuning
 from diffdrive.errors import ParameterError
 from diffdrive.logs import write_log
 from tests.support.sound_log import DRIVE, SOUND
-from tuning.checked_logs import which_log
+from tuning.checked_logs import CheckedLogs, which_log
 
 FILES = [Path("a/lap.csv"), Path("b/lap.csv"), Path("run"), Path("run.1")]
 FRAME = dict(SOUND.channels)
@@ -53,3 +53,24 @@ def test_a_log_is_given_one_load_and_a_held_out_one_is_told_from_it(tmp_path):
     other = SOUND.replace(name="lap", position=np.roll(SOUND.position, 1))
     with pytest.raises(ParameterError, match="loads: 'lap': names 2 logs"):
         tuning.identify(DRIVE, SOUND.replace(name="lap"), held_out=other, loads={"lap": 8e3})
+
+
+@pytest.mark.parametrize(
+    ("call", "engine"),
+    [
+        (tuning.identify, "tuning.identification.workflow.fit_drive"),
+        (tuning.diagnose, "tuning.diagnosis.workflow.diagnose_drive"),
+    ],
+)
+def test_what_is_finished_is_kept_in_the_folder_to_resume_from(call, engine, monkeypatch, tmp_path):
+    stores = []
+
+    def stopped(*given, store, **more):
+        stores.append(store)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(engine, stopped)
+    for folder in (tmp_path / "parts", str(tmp_path / "parts"), None):
+        with pytest.raises(KeyboardInterrupt):
+            call(DRIVE, CheckedLogs((SOUND,), ()), resume=folder)
+    assert [store and store.folder for store in stores] == [tmp_path / "parts", tmp_path / "parts", None]

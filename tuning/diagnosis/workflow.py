@@ -30,7 +30,6 @@ from tuning.diagnosis.verdict import UNSURE, Belief
 from tuning.identification.scale_noise import unstated_noise
 from tuning.progress import Progress, reporting
 from tuning.store.folder import FolderStore
-from tuning.store.store import Store
 
 AMOUNT_TOLERANCE = 0.3  # of what a log's fault would look like: so near is what was found, if it is that
 WIDTH, LINES = 100, 25  # of a summary
@@ -108,7 +107,7 @@ def diagnose(
     most_effects: int = MOST_EFFECTS,
     tolerance: float = TOLERANCE,
     loads: Mapping[str, float] | None = None,
-    store: Store | str | Path | None = None,
+    resume: str | Path | None = None,
     progress: Progress | None = None,
     throw: bool = False,
 ) -> DiagnosisResult:
@@ -125,7 +124,7 @@ def diagnose(
         most_effects: How many are looked for.
         tolerance: Relative uncertainty of the axis's parameters.
         loads: Force on the guides (N) by the log's file or name, where the log does not say it.
-        store: A folder where finished parts are kept, from which the same call continues.
+        resume: A folder where what is finished is kept: the same call continues from it.
         progress: Called with (stage, done, of how many).
         throw: Raise an error where a log is so wrong that no cause was looked for.
 
@@ -146,7 +145,7 @@ def diagnose(
     (used,) = checked(axis, logs, loads=loads)
     with reporting(progress) as tell:
         found = diagnose_checked(
-            axis, used, without=without, most_effects=most_effects, tolerance=tolerance, store=FolderStore.of(store),
+            axis, used, without=without, most_effects=most_effects, tolerance=tolerance, store=FolderStore.of(resume),
             progress=tell,
         )  # fmt: skip
         tell("looking for the motion that would decide", 0, 1)

@@ -132,7 +132,7 @@ def identify(
     starts: int = 6,
     seed: int = 0,
     force: bool = False,
-    store: Store | str | Path | None = None,
+    resume: str | Path | None = None,
     progress: Progress | None = None,
     throw: bool = False,
 ) -> IdentificationResult:
@@ -151,7 +151,7 @@ def identify(
         starts: Starting points of the search.
         seed: Of the starting points.
         force: Identify from logs that would mislead, all the same.
-        store: A folder where finished searches are kept, from which the same call continues.
+        resume: A folder where what is finished is kept: the same call continues from it.
         progress: Called with (stage, done, of how many).
         throw: Raise an error where the search does not converge.
 
@@ -166,22 +166,47 @@ def identify(
         >>> fit.axis.write("identified.toml")
 
     """
-    if effects := [effect.name for effect in axis.drive.effects]:
-        raise ParameterError(
-            f"{axis.name}: [effects] {', '.join(effects)}: identification knows no effects; take them out, or diagnose"
-        )
+    _require_no_effects(axis)
     used, others = checked(axis, logs, held_out, loads=loads)
     if not force:
         for several in (used, others):
             require_sound(several, "force=True identifies all the same, and fits that as mass or friction")
-    names = {_parameter_name(name): limits for name, limits in (bounds or {}).items()}
-    with reporting(progress) as tell, searching(tell, "fitting friction, mass and delay") as step:
+    with reporting(progress) as tell:
+        result = identify_checked(
+            axis, used, others, fixed=fixed, bounds=bounds or {}, starts=starts, seed=seed,
+            store=FolderStore.of(resume), progress=tell,
+        )  # fmt: skip
+    return result.require_ok() if throw else result
+
+
+def identify_checked(
+    axis: Axis,
+    used: CheckedLogs,
+    held_out: CheckedLogs,
+    *,
+    fixed: Sequence[str],
+    bounds: Mapping[str, tuple[float, float]],
+    starts: int,
+    seed: int,
+    store: Store | None,
+    progress: Progress,
+) -> IdentificationResult:
+    """`identify` from logs that were looked over, whatever was found in them; finished searches are in the `store`."""
+    _require_no_effects(axis)
+    names = {_parameter_name(name): limits for name, limits in bounds.items()}
+    with searching(progress, "fitting friction, mass and delay") as step:
         found = fit_drive(
             used.logs, axis.drive, fixed=[_parameter_name(name) for name in fixed], bounded=names, starts=starts,
-            seed=seed, store=FolderStore.of(store), progress=step,
+            seed=seed, store=store, progress=step,
         )  # fmt: skip
-    result = _result(axis, found, used, others)
-    return result.require_ok() if throw else result
+    return _result(axis, found, used, held_out)
+
+
+def _require_no_effects(axis: Axis) -> None:
+    if effects := [effect.name for effect in axis.drive.effects]:
+        raise ParameterError(
+            f"{axis.name}: [effects] {', '.join(effects)}: identification knows no effects; take them out, or diagnose"
+        )
 
 
 def _result(axis: Axis, found: Identification, used: CheckedLogs, held_out: CheckedLogs) -> IdentificationResult:

@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive.runtime import arithmetic_signature
 from diffdrive.support.atomic_write import atomic_write, remove_temporary
 from tuning.store.edition import code_digest
-from tuning.store.store import Arrays, Store, digest
+from tuning.store.store import Arrays, digest
 
 
 class FolderStore:
@@ -32,9 +32,9 @@ class FolderStore:
         return None if out is None else cls(out / name)
 
     @classmethod
-    def of(cls, store: "Store | str | Path | None") -> "Store | None":
-        """A store as it is, or that of a folder by its path."""
-        return cls(Path(store)) if isinstance(store, str | Path) else store
+    def of(cls, folder: str | Path | None) -> "FolderStore | None":
+        """The one in a folder; None without a folder."""
+        return None if folder is None else cls(Path(folder))
 
     def _path(self, key: str) -> Path:
         return self.folder / f"{digest(self._context, key)}.npz"

@@ -18,6 +18,7 @@ from experiments.reports.identification.figures import save_identification_figur
 from experiments.reports.identification.gap_table import gap_table
 from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.report import Report
+from tuning.checked_logs import CheckedLogs
 from tuning.identification import inverse_dynamics
 from tuning.identification.estimates import ParameterEstimate
 from tuning.identification.identify import Identification
@@ -25,7 +26,7 @@ from tuning.identification.inverse_dynamics import MIN_SPEED
 from tuning.identification.ranges import BOUNDABLE, NAMES
 from tuning.identification.refinement import was_interrupted
 from tuning.identification.scale_noise import unstated_noise
-from tuning.identification.workflow import IdentificationResult, identify
+from tuning.identification.workflow import IdentificationResult, identify_checked
 from tuning.store.folder import FolderStore
 from tuning.sweeps.identified import write_uncertainty
 
@@ -63,12 +64,12 @@ def identify_drive(
     with Report(f"{drive.name}: identification from {', '.join(path.name for path in paths)}", out) as report:
         checked = partial(read_sound_logs, description=axis, report=report, force=force, loads=applied)
         logs = checked(paths, name="findings")
-        others = checked(held_out, name="findings_held_out", beside=logs.logs) if held_out else None
+        others = checked(held_out, name="findings_held_out", beside=logs.logs) if held_out else CheckedLogs((), ())
         parts = FolderStore.in_folder(out, PARTS)
         with report.stages() as advance, stop_at_next_step(advance, report.say) as progress:
-            result = identify(
-                axis, logs, held_out=others, fixed=fixed, bounds=bounded, starts=starts, seed=seed, force=force,
-                store=parts, progress=progress,
+            result = identify_checked(
+                axis, logs, others, fixed=fixed, bounds=bounded, starts=starts, seed=seed, store=parts,
+                progress=progress,
             )  # fmt: skip
         if parts is not None and parts.hits:
             report.print(f"{parts.hits} finished searches of an interrupted identification were used.")
