@@ -141,7 +141,8 @@ def _require_rate(path: str, log: Log, rate: float) -> None:
     if not is_same_rate(log.rate, rate, CLOCK_TOLERANCE):
         raise LogError(
             f"{path}: is sampled at {log.rate:g} Hz, the drive file's controller runs at {rate:g} Hz: log every sample "
-            "of the controller, or set [sampling] rate to that at which it ran"
+            "of the controller; if that is what was logged, set [sampling] rate to the log's rate; if the trace cannot "
+            'be faster, set that rate and [controller] kind = "unknown"'
         )
 
 

@@ -28,9 +28,11 @@ class Channel(NamedTuple):
 CHANNELS = {
     "time": Channel("s", "time of the sample", required=True),
     "reference": Channel("m", "where the table should be"),
-    "position": Channel("m", "measured position of the table (or of the motor, through the lead)", required=True),
-    "command": Channel("N", "force command before the actuator, given at this sample", required=True),
-    "motor_position": Channel("m", "second encoder before the screw, through the lead"),
+    "position": Channel("m", "measured position: of the table, or of the motor as table travel", required=True),
+    "command": Channel(
+        "N", "force or torque set-point before the current loop, computed at this sample", required=True
+    ),
+    "motor_position": Channel("m", "motor encoder beside a scale, as table travel (motor turns times lead)"),
     "load": Channel("N", "applied load on the guides"),
     "disturbance": Channel("N", "known force on the table beside the actuator's, such as test pulses"),
     "velocity": Channel("m/s", "velocity as the machine reports it"),

@@ -15,6 +15,7 @@ from diffdrive.logs.log import READABLE
 from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.support.messages import quoted_names
 
+_OF_TORQUE = ' (a torque of 1 N m makes 2 pi / lead newtons, lead in m: "628.3 N" at 10 mm)'
 _EXAMPLES = {"time": "ms", "temperature": "degC"}  # of units, where counts are none
 
 
@@ -162,6 +163,7 @@ def _conversion(table: Table, mapping: ColumnMapping, channel: str, column: str)
         raise LogError(
             f"{where}: '{file_unit}' is no unit of the {channel}; correct the file's header, or write what one unit of "
             f'the column is, such as [units] {channel} = "{_EXAMPLES.get(channel, f"0.05 {READABLE[channel].unit}")}"'
+            f"{_OF_TORQUE if channel in FORCES else ''}"
         )
     chosen = mapping.conversion(channel, mapped_unit, where)
     try:

@@ -59,8 +59,9 @@ def _rounded(fault: ChannelFault, log: Log, result: ConsistencyResult, axis: Axi
         return FaultText(
             "warning",
             "command",
-            f"the command has steps of {step:.4g}, and is the drive file's controller's to within half of one",
-            "log it with more digits, or before the converter",
+            f"the command is rounded to steps of {step:.4g} N; to within half a step it is the output of the drive "
+            "file's controller",
+            "log it with more digits, or before the D/A converter",
         )
     ratio = fault.parameters["ratio"]
     return FaultText(
@@ -265,8 +266,8 @@ def _shifted(fault: ChannelFault, log: Log, result: ConsistencyResult, axis: Axi
             severity,
             "position" if fault.channel == "command" else fault.channel,
             f"the position is {abs(position - reference):.2g} of a sample {direction} (shift "
-            f"{reference - position:+.2g}) against the reference {misfits}; which of the two is out of "
-            "time is undetermined",
+            f"{reference - position:+.2g}) against the reference {misfits}; which of the two is mistimed "
+            "cannot be determined",
             "resampled, or logged by another interrupt: log the raw samples of one interrupt",
         )
     if reference == 0 or position == 0:

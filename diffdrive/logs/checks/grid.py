@@ -164,6 +164,6 @@ def command_grid(log: Log) -> Iterator[Finding]:
             "warning",
             "command",
             f"the command takes only {levels} values, {step:.4g} apart over a range of {value_range:.4g}",
-            "log it with more digits, or before the converter",
+            "log it with more digits, or before the D/A converter",
             "rounded",
         )

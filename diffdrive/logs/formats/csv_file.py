@@ -109,7 +109,10 @@ def _text(path: Path, raw: bytes) -> str:
             raise LogError(f"{path}: is {what}")
     text = decode_text(raw)
     if detect_encoding(raw) in _OF_BYTES and len(raw) - len(raw.translate(None, _CONTROL)) > 0.001 * len(text):
-        raise LogError(f"{path}: is no text file but binary; export the log as CSV, MAT or Parquet")
+        raise LogError(
+            f"{path}: is binary, not text; if it is MAT, Parquet, HDF5, MDF, TDMS or MCAP, give it that extension, "
+            "else export the log as CSV"
+        )
     return text
 
 

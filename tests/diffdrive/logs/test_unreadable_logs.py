@@ -88,7 +88,7 @@ BAD_CSV = {
     "a header that is too short": ("time,position,command\n" + rows(), "no column is called"),
     "a unit of no channel": (
         NAMES + "\ns,mm,um,%\n" + rows(),
-        r"column 'command': '%' is no unit of the command; correct .* \[units\] command = \"0\.05 N\"",
+        r"column 'command': '%' is no unit of the command; correct .* = \"0\.05 N\" \(a torque of 1 N m makes 2 pi / lead newtons",
     ),
     "a label for a unit": (NAMES + "\nunit,mm,um,N\n" + rows(), r"column 'time': 'unit' is no .* time = \"ms\""),
     "stamps of another form": (
@@ -165,7 +165,7 @@ def test_a_truncated_file_is_refused(extension, kept, tmp_path):
 
 
 WRONG = {
-    "junk.csv": (np.random.default_rng(0).bytes(5000), "is no text file but binary"),
+    "junk.csv": (np.random.default_rng(0).bytes(5000), "is binary, not text; if it is MAT, Parquet, HDF5"),
     "junk.mat": (np.random.default_rng(0).bytes(5000), "cannot be read as a MAT file"),
     "junk.parquet": (np.random.default_rng(0).bytes(5000), "cannot be read as Parquet"),
     "text.mat": ((NAMES + "\n" + rows()).encode(), "cannot be read as a MAT file"),

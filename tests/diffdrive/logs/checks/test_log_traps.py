@@ -198,7 +198,7 @@ CORRUPTED = {
         replaced(command=rounded(SOUND.command, 20.0)),
         "warning",
         "command",
-        r"has steps of 20, and is the drive file's controller's",
+        r"is rounded to steps of 20 N; to within half a step",
     ),
     # clipped, frozen, constant, spikes
     "command clipped": (
