@@ -25,7 +25,7 @@ def report_encoders(report: Report, comparisons: Sequence[EncoderComparison]) ->
     ]
     names = ("log", "motor against table", "value", "from", "to", "unit")
     notes = [
-        "Play and wind-up add up to the reversal error. Wind-up per newton is that of the command while the axis "
+        "Backlash and wind-up add up to the reversal error. Wind-up per newton is that of the command while the axis "
         "accelerates: of the screw it is more, by the share of the moving mass that is not the table's."
     ]
     report.table("encoders", names, rows, "What motor minus table says, with 95 % intervals", notes=notes)
@@ -49,9 +49,9 @@ def report_encoders(report: Report, comparisons: Sequence[EncoderComparison]) ->
 
 def encoders_figure(comparison: EncoderComparison) -> "Figure":
     """Motor minus table against position, by direction, and against time; the model; each reversal's lost motion."""
-    course = comparison.course
-    thinned = slice(None, None, 1 + len(course.time) // MOST_POINTS)
-    time, position, difference, direction, fitted = (one[thinned] for one in course)
+    samples = comparison.samples
+    thinned = slice(None, None, 1 + len(samples.time) // MOST_POINTS)
+    time, position, difference, direction, fitted = (one[thinned] for one in samples)
     position, difference, fitted = 1e3 * position, 1e6 * difference, 1e6 * fitted
     figure, axes = new_figure(3, 1, width=9.0, height=2.8, share_x=False)
     for axis, x, label in ((axes[0], position, "position of the table, mm"), (axes[1], time, "time, s")):

@@ -1,4 +1,4 @@
-"""A CNC axis with a motor encoder and a scale: two masses, a play, an elastic screw, a cascade, a slow trace.
+"""A CNC axis with a motor encoder and a scale: two masses, a backlash, an elastic screw, a cascade, a slow trace.
 
 Independent of the package's simulator: explicit steps of 25 us, friction of either mass by Dahl's model.
 """
@@ -18,7 +18,7 @@ CONTROL = 8  # steps of one control period
 class CncAxis:
     """SI units; `wind_up` is the reversal error that friction makes in the screw, 2 F / k."""
 
-    play: float = 0.0
+    backlash: float = 0.0
     wind_up: float = 10e-6
     mass: float = 500.0
     table_share: float = 0.5  # of the mass
@@ -29,7 +29,7 @@ class CncAxis:
     per_turn: float = 0.0  # amplitude
     linear: float = 0.0
     drift: float = 0.0  # m/s
-    scatter: float = 0.0  # of the play from reversal to reversal
+    scatter: float = 0.0  # of the backlash from reversal to reversal
     motor_step: float = 10e-9
     scale_step: float = 0.5e-6
     motor_noise: float = 10e-9
@@ -46,11 +46,11 @@ class CncAxis:
 
     @property
     def reversal_error(self) -> float:
-        return self.play + 2.0 * self.table_friction * self.friction / self.stiffness
+        return self.backlash + 2.0 * self.table_friction * self.friction / self.stiffness
 
 
 @numba.njit
-def _run(reference, plays, force_noise, numbers):
+def _run(reference, backlashes, force_noise, numbers):
     (m_m, m_t, f_m, f_t, slip, k, c, kv, kp, ki, lag, h, control) = numbers
     n = len(reference)
     motor, table, command = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -64,7 +64,7 @@ def _run(reference, plays, force_noise, numbers):
             u = kp * error + integral + force_noise[i]
         force += h / lag * (u - force)
         q = x_m - x_t
-        half = 0.5 * plays[i]
+        half = 0.5 * backlashes[i]
         screw = 0.0
         if q > half:
             screw = max(0.0, k * (q - half) + c * (v_m - v_t))
@@ -114,10 +114,10 @@ def log_of(axis: CncAxis, seed: int = 0, seconds: float = 20.0, reference: np.nd
     speed_gain, reset = 250.0 * axis.mass, 250.0 * axis.mass * 20.0  # N s/m, N/m
     turns = np.concatenate([[0.0], np.diff(np.sign(np.diff(reference)), prepend=0.0) != 0])
     number = np.cumsum(turns).astype(int)
-    plays = np.maximum(axis.play + axis.scatter * rng.standard_normal(number[-1] + 1), 0.0)[number]
+    backlashes = np.maximum(axis.backlash + axis.scatter * rng.standard_normal(number[-1] + 1), 0.0)[number]
     noise = axis.ripple * axis.friction * rng.standard_normal(n)
     numbers = (m_m, m_t, f_m, f_t, axis.presliding, k, damping, axis.gain, speed_gain, reset, 0.5e-3, STEP)
-    motor, table, command = _run(reference, plays, noise, (*numbers, float(CONTROL)))
+    motor, table, command = _run(reference, backlashes, noise, (*numbers, float(CONTROL)))
     time = np.arange(n) * STEP
     wave = axis.per_turn * np.sin(2 * np.pi * table / axis.lead + 1.0)
     scale = table - axis.linear * table - wave - axis.drift * time + 0.0123

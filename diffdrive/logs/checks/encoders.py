@@ -36,8 +36,8 @@ def two_encoders(log: Log, axis: Axis | None) -> Iterator[Finding]:
 
 
 def _lost_motion(comparison: EncoderComparison) -> Iterator[Finding]:
-    error, play = comparison.reversal_error, comparison.play
-    if error is None or play is None or not comparison.has_lost_motion:
+    error, backlash = comparison.reversal_error, comparison.backlash
+    if error is None or backlash is None or not comparison.has_lost_motion:
         return
     scatter = "" if comparison.scatter is None else f", scatter {1e6 * comparison.scatter:.2g} um"
     message = (
@@ -47,14 +47,14 @@ def _lost_motion(comparison: EncoderComparison) -> Iterator[Finding]:
     change = comparison.change_along_stroke
     if change is not None and change.is_significant:
         message += f", {in_words(change, 1e6)} um more for each metre along the stroke"
-    if comparison.has_play:
-        message += f": lost motion, {in_words(play, 1e6)} um of it play whatever the force"
+    if comparison.has_backlash:
+        message += f": lost motion, {in_words(backlash, 1e6)} um of it backlash whatever the force"
         yield Finding("warning", "motor_position", message, MEND_PLAY, "lost motion")
-    elif comparison.may_be_all_play:
-        message += ": lost motion, play or wind-up under friction, which this log does not tell apart"
+    elif comparison.may_be_all_backlash:
+        message += ": lost motion, backlash or wind-up under friction, which this log does not tell apart"
         yield Finding("warning", "motor_position", message, MEND_PLAY, "lost motion")
     else:
-        message += f": wind-up of the screw under friction, with no more than {1e6 * play.high:.3g} um of play"
+        message += f": wind-up of the screw under friction, with no more than {1e6 * backlash.high:.3g} um of backlash"
         yield Finding("note", "motor_position", message, MEND_WIND_UP, "lost motion")
 
 

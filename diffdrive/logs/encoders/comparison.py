@@ -4,9 +4,9 @@ While the table slides and the screw pushes it, at position x, velocity v, accel
 
     motor - table = zero + s (B + B' x) / 2 + e x + A cos(2 pi x / L + phase) + r t + T v + c a ,
 
-where B is the reversal error (play and wind-up under friction), e the linear error, A that of each turn, r the drift
-and T the time between the encoders' readings (with the wind-up under viscous friction). The force in the reversals
-tells play and wind-up apart (`split`).
+where B is the reversal error (backlash and wind-up under friction), e the linear error, A that of each turn, r the
+drift and T the time between the encoders' readings (with the wind-up under viscous friction). The force in the
+reversals tells backlash and wind-up apart (`split`).
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ from diffdrive.logs.checks.statistics import robust_std, sampling_period
 from diffdrive.logs.encoders import split, turn
 from diffdrive.logs.encoders.passes import Passes, find_passes, pushed
 from diffdrive.logs.encoders.regression import LEVEL, Estimate, Regression, interval, regress
-from diffdrive.logs.encoders.result import Course, EncoderComparison, Place, Reversal
+from diffdrive.logs.encoders.result import ComparedSamples, EncoderComparison, Place, Reversal
 from diffdrive.logs.log import Log
 
 PLACES = 10  # stretches of the stroke whose reversal error is told
@@ -55,8 +55,9 @@ def compare_encoders(log: Log, axis: Axis | None = None) -> EncoderComparison:
     """Take motor minus table apart, before anything is fitted to the machine.
 
     Motor and table must be in metres and of one sign. The reversal error (lost motion) is what ISO 230-2 calls reversal
-    value, here of the motor against the table. How much of it is play and how much wind-up of the screw under friction
-    is said as far as the force in the reversals tells; its interval may be as wide as the reversal error itself.
+    value, here of the motor against the table. How much of it is backlash and how much wind-up of the screw under
+    friction is said as far as the force in the reversals tells; its interval may be as wide as the reversal error
+    itself.
 
     Args:
         log: With `motor_position` and `position`, the table's.
@@ -67,7 +68,7 @@ def compare_encoders(log: Log, axis: Axis | None = None) -> EncoderComparison:
 
     Examples:
         >>> compare_encoders(read_log("lap.csv", axis), axis)
-        reversal error 12.3 (12.1 to 12.5) um, play 9.8 (8 to 11.4) um of it
+        reversal error 12.3 (12.1 to 12.5) um, backlash 9.8 (8 to 11.4) um of it
 
     """
     if log.motor_position is None:
@@ -137,15 +138,15 @@ def _compared(log: Log, axis: Axis | None, samples: _Samples) -> EncoderComparis
     direction = fit.estimate("direction")
     both = bool(np.unique(samples.passes.direction[samples.used]).size > 1)
     error = direction.times(2.0) if direction is not None and both else None
-    play = None if error is None else _play(samples, difference, fit, columns, error, compliance, friction)
+    backlash = None if error is None else _backlash(samples, difference, fit, columns, error, compliance, friction)
     change = fit.estimate("change") if both else None
     fitted = np.where(samples.used, _model(fit, columns), np.nan)
     errors = np.array([one.error for one in reversals])
     return EncoderComparison(
         log=log.name,
         reversal_error=error,
-        play=play,
-        wind_up=None if error is None or play is None else _rest(error, play),
+        backlash=backlash,
+        wind_up=None if error is None or backlash is None else _rest(error, backlash),
         change_along_stroke=None if change is None else change.times(2.0),
         scatter=float(np.std(errors, ddof=1)) if len(errors) > 1 else None,
         compliance=compliance,
@@ -158,7 +159,7 @@ def _compared(log: Log, axis: Axis | None, samples: _Samples) -> EncoderComparis
         resolution=_resolution(log, axis),
         reversals=reversals,
         places=_places(samples, rest) if both else (),
-        course=Course(samples.time, samples.table, difference, samples.passes.direction, fitted),
+        samples=ComparedSamples(samples.time, samples.table, difference, samples.passes.direction, fitted),
     )
 
 
@@ -202,7 +203,7 @@ def _compliance(samples: _Samples, columns: Columns, fit: Regression) -> tuple[E
     return interval(value, of_fit.plus(of_mass.times(-value))), friction
 
 
-def _play(
+def _backlash(
     samples: _Samples,
     difference: Float[np.ndarray, " n"],
     fit: Regression,
@@ -224,17 +225,17 @@ def _play(
     without = ("direction", "change", "acceleration", "jerk")
     deflection = difference - _model(fit, columns, without=without) - samples.passes.direction * change
     signals = split.Signals(deflection, samples.motor, samples.command, samples.period)
-    seen = split.play_of_reversals(signals, samples.passes, total) if error.is_significant else None
+    seen = split.backlash_of_reversals(signals, samples.passes, total) if error.is_significant else None
     if seen is None or seen.value < low:  # a model of the reversals that acceleration refutes says nothing
         return everything
     high = max(low, seen.high) + max(0.0, error.high - total)
     return Estimate(float(np.clip(seen.value, low, high)), max(low, seen.low), high)
 
 
-def _rest(error: Estimate, play: Estimate) -> Estimate:
-    """What play leaves of the reversal error."""
+def _rest(error: Estimate, backlash: Estimate) -> Estimate:
+    """What backlash leaves of the reversal error."""
     return Estimate(
-        max(0.0, error.value - play.value), max(0.0, error.low - play.high), max(0.0, error.high - play.low)
+        max(0.0, error.value - backlash.value), max(0.0, error.low - backlash.high), max(0.0, error.high - backlash.low)
     )
 
 

@@ -99,7 +99,7 @@ def find_passes(log: Log, period: float) -> Passes | None:
 
 
 def pushed(passes: Passes, command: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Where the screw pushes the table the way that it slides: strong braking puts it onto the play's other side.
+    """Where the screw pushes the table the way that it slides: strong braking puts it onto the backlash's other side.
 
     The screw's force is zero where deceleration takes all of the table's friction, the command where it takes all of
     the friction. Half of the friction's command leaves a factor of two for where mass and friction sit.

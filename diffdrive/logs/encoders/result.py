@@ -31,7 +31,7 @@ class Place(NamedTuple):
     error: Estimate  # m
 
 
-class Course(NamedTuple):
+class ComparedSamples(NamedTuple):
     """The samples that were looked at; [n] each, in SI units."""
 
     time: Float[np.ndarray, " n"]
@@ -47,7 +47,7 @@ class EncoderComparison(Result):
 
     log: str
     reversal_error: Estimate | None  # m, lost motion: the motor's travel at a reversal that the table does not make
-    play: Estimate | None  # m of it, a gap
+    backlash: Estimate | None  # m of it, a gap
     wind_up: Estimate | None  # m of it, the screw's under friction
     change_along_stroke: Estimate | None  # m/m, of the reversal error
     scatter: float | None  # m, standard deviation of the reversal error from reversal to reversal
@@ -61,7 +61,7 @@ class EncoderComparison(Result):
     resolution: float  # m, step of the coarser encoder, or its noise
     reversals: tuple[Reversal, ...]
     places: tuple[Place, ...]
-    course: Course
+    samples: ComparedSamples
     status: Status = OK
     notes: tuple[str, ...] = ()
 
@@ -74,23 +74,23 @@ class EncoderComparison(Result):
         return error is not None and error.is_significant and error.value > self.resolution
 
     @property
-    def has_play(self) -> bool:
+    def has_backlash(self) -> bool:
         """Whether part of it is certainly a gap."""
-        return self.has_lost_motion and self.play is not None and self.play.low > self.resolution
+        return self.has_lost_motion and self.backlash is not None and self.backlash.low > self.resolution
 
     @property
-    def may_be_all_play(self) -> bool:
-        """Whether nothing speaks against play alone, and wind-up as in acceleration makes less than half of it."""
-        error, play = self.reversal_error, self.play
-        if error is None or play is None or not self.has_lost_motion:
+    def may_be_all_backlash(self) -> bool:
+        """Whether nothing speaks against backlash alone, and wind-up as in acceleration makes less than half of it."""
+        error, backlash = self.reversal_error, self.backlash
+        if error is None or backlash is None or not self.has_lost_motion:
             return False
-        return play.high >= error.low and play.value > 0.5 * error.value
+        return backlash.high >= error.low and backlash.value > 0.5 * error.value
 
     def kinematics(self) -> list[tuple[str, Estimate]]:
         """What is beyond its interval and, over the log, what the encoders resolve: in words, and in SI units."""
-        course = self.course
-        travel, seconds = float(np.ptp(course.position)), float(np.ptp(course.time))
-        speed = float(np.max(np.abs(np.gradient(course.position, course.time)))) if seconds > 0.0 else 0.0
+        samples = self.samples
+        travel, seconds = float(np.ptp(samples.position)), float(np.ptp(samples.time))
+        speed = float(np.max(np.abs(np.gradient(samples.position, samples.time)))) if seconds > 0.0 else 0.0
         period = 0.0 if self.period is None else 1e3 * self.period
         every = (
             ("linear error {} um/m", self.linear, 1e6, travel),
@@ -109,8 +109,8 @@ class EncoderComparison(Result):
         if self.reversal_error is None:
             return "no reversal error: the table does not slide in both directions"
         text = f"reversal error {in_words(self.reversal_error, 1e6)} um"
-        if self.play is not None and self.has_lost_motion:
-            text += f", play {in_words(self.play, 1e6)} um of it"
+        if self.backlash is not None and self.has_lost_motion:
+            text += f", backlash {in_words(self.backlash, 1e6)} um of it"
         return text
 
     def summary(self) -> str:
@@ -123,7 +123,7 @@ class EncoderComparison(Result):
         """Name, estimate in SI units, factor to the unit shown, and that unit, of all that is determined."""
         every = [
             ("reversal error", self.reversal_error, 1e6, "um"),
-            ("play", self.play, 1e6, "um"),
+            ("backlash", self.backlash, 1e6, "um"),
             ("wind-up under friction", self.wind_up, 1e6, "um"),
             ("wind-up per newton", self.compliance, 1e9, "nm/N"),
             ("change of the reversal error along the stroke", self.change_along_stroke, 1e6, "um/m"),
@@ -138,7 +138,7 @@ class EncoderComparison(Result):
         """In SI units: value, low and high of each."""
         names = (
             ("reversal_error_m", self.reversal_error),
-            ("play_m", self.play),
+            ("backlash_m", self.backlash),
             ("wind_up_m", self.wind_up),
             ("compliance_m_per_N", self.compliance),
             ("change_along_stroke_m_per_m", self.change_along_stroke),

@@ -1,4 +1,4 @@
-"""Play told apart from wind-up by the force in reversals: a gap is crossed without force, a screw winds up under it.
+"""Backlash told from wind-up by the force in reversals: a gap is crossed without force, a screw winds up under it.
 
 The screw's force S is a function of what motor and table are apart, whatever came before: S = k dz(d), where dz is d
 outside a gap g and zero within. The motor's balance through a reversal is therefore
@@ -104,7 +104,7 @@ def _squares(moments: Float[np.ndarray, "draws gaps slips p p"]) -> Float[np.nda
     return np.min(np.where((solution[..., 4] >= 0.0) & (solution[..., 1] >= 0.0), squares, np.inf), axis=-1)
 
 
-def play_of_reversals(signals: Signals, passes: Passes, reversal_error: float) -> Estimate | None:
+def backlash_of_reversals(signals: Signals, passes: Passes, reversal_error: float) -> Estimate | None:
     """The gap (m) that the force in the reversals shows; None from fewer than `FEWEST` of them."""
     if len(passes.turns) < FEWEST or reversal_error <= 0.0:
         return None

@@ -88,7 +88,7 @@ BAD_CSV = {
     "a header that is too short": ("time,position,command\n" + rows(), "no column is called"),
     "a unit of no channel": (
         NAMES + "\ns,mm,um,%\n" + rows(),
-        r"column 'command': '%' is no unit of the command; correct .* = \"0\.05 N\" \(a torque of 1 N m makes 2 pi / lead newtons",
+        r"column 'command': '%' is no unit of the .* = \"0\.05 N\" \(a torque of 1 N m makes 2 pi / lead newtons",
     ),
     "a label for a unit": (NAMES + "\nunit,mm,um,N\n" + rows(), r"column 'time': 'unit' is no .* time = \"ms\""),
     "stamps of another form": (
