@@ -1,5 +1,6 @@
 """Estimates with intervals, in the names and units of the drive file."""
 
+import enum
 from typing import NamedTuple
 
 import jax
@@ -13,6 +14,15 @@ from tuning.identification.problem import IdentificationProblem, Innovations
 from tuning.identification.uncertainty import Covariance
 from tuning.identification.unknowns import Unknowns, free_paths, with_value
 from tuning.optimisation.space import SearchSpace
+
+
+class EstimateStatus(enum.StrEnum):
+    """What became of a parameter."""
+
+    FITTED = "fitted"
+    FIXED = "fixed"
+    UNDETERMINED = "not determined"
+    AT_BOUND = "at its bound"
 
 
 class ParameterEstimate(NamedTuple):
@@ -30,7 +40,7 @@ class ParameterEstimate(NamedTuple):
     high: float
     lowest: float
     highest: float
-    status: str  # "fitted", "fixed", "not determined", or "at its bound"
+    status: EstimateStatus
 
 
 class ReportedParameter(NamedTuple):
@@ -113,12 +123,13 @@ def estimates(
     table = []
     for row, value, width, direction in zip(before, estimated, widths, slope, strict=True):
         if row.path in undetermined:
-            status = "not determined"
+            status = EstimateStatus.UNDETERMINED
         elif row.path in at_bound or (row.path in bounds and not np.any(direction)):
-            status = "at its bound"  # its own, or that of what a drive file can say (no viscous friction below zero)
+            # its own, or that of what a drive file can say (no viscous friction below zero)
+            status = EstimateStatus.AT_BOUND
         else:
-            status = "fitted" if np.any(direction) else "fixed"
-        if status == "at its bound":
+            status = EstimateStatus.FITTED if np.any(direction) else EstimateStatus.FIXED
+        if status is EstimateStatus.AT_BOUND:
             low, high = np.nan, np.nan  # the optimum may lie beyond: no interval describes that
         elif row.key in LINEAR or value <= 0:
             low, high = value - width, value + width

@@ -34,7 +34,7 @@ from tuning.identification.refinement import (
 )
 from tuning.identification.setup import build_problem
 from tuning.identification.uncertainty import Covariance, repetition_inflation
-from tuning.optimisation.least_squares import LeastSquaresResult, StepProgress, multistart, no_progress
+from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, StepProgress, multistart, no_progress
 from tuning.optimisation.space import FreeParameter, SearchSpace
 from tuning.store.store import Store, digest
 
@@ -70,11 +70,19 @@ class Identification:
     full_fit: RefinedFit  # with every parameter free, before the undetermined ones were put back
 
     @property
+    def code(self) -> str:
+        """What to make of it, for programs: ok, structure_remains, not_converged or interrupted."""
+        if self.search.outcome is Outcome.CONVERGED and self.adequacy.has_structure:
+            return "structure_remains"
+        return _CODES[self.search.outcome]
+
+    @property
     def status(self) -> str:
-        """What to make of it; never just "converged" over structured innovations."""
-        if self.search.status != "converged":
-            return self.search.status
-        return "converged; model incomplete" if self.adequacy.has_structure else "converged"
+        """The same in words; never just "converged" over structured innovations."""
+        return f"{self.search.status}; model incomplete" if self.code == "structure_remains" else self.search.status
+
+
+_CODES = {Outcome.CONVERGED: "ok", Outcome.STOPPED: "not_converged", Outcome.INTERRUPTED: "interrupted"}
 
 
 def identify(

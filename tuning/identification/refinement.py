@@ -18,7 +18,7 @@ from tuning.identification.prediction import Prediction
 from tuning.identification.problem import FINEST_SUBSTEP, IdentificationProblem, Innovations, sampling_of
 from tuning.identification.uncertainty import Covariance, sandwich
 from tuning.identification.unknowns import value_at, with_value
-from tuning.optimisation.least_squares import LeastSquaresResult, StepProgress, levenberg_marquardt
+from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, StepProgress, levenberg_marquardt
 from tuning.store.store import Store, digest
 
 MAX_STEPS, MAX_ROUGH_STEPS = 40, 80  # of each search
@@ -104,26 +104,26 @@ def _alternate(
         if likelier or process == best.process_force or final is None:
             final = fit  # in the end the one whose gains are those of the likeliest process
         if was_interrupted(fit.search):
-            final = _with_status(final, fit.search.status)
+            final = _ended(final, fit.search.outcome, fit.search.status)
             break
         if not likelier and process == best.process_force:
             break
         if not likelier:
             trust = 1.0  # it was too bold: not again
     else:
-        final = _with_status(final, f"stopped after {MAX_ROUNDS} rounds of filtering")
+        final = _ended(final, Outcome.STOPPED, f"stopped after {MAX_ROUNDS} rounds of filtering")
     assert final is not None
     return final._replace(process_force=best.process_force, deviance_gain=best.deviance_gain, steps=steps)
 
 
-def _with_status(fit: RefinedFit | None, status: str) -> RefinedFit:
+def _ended(fit: RefinedFit | None, outcome: Outcome, status: str) -> RefinedFit:
     assert fit is not None  # no round passes without one
-    return fit._replace(search=dataclasses.replace(fit.search, status=status))
+    return fit._replace(search=dataclasses.replace(fit.search, outcome=outcome, status=status))
 
 
 def was_interrupted(search: LeastSquaresResult) -> bool:
     """Whether somebody stopped the search."""
-    return search.status.startswith("interrupted")
+    return search.outcome is Outcome.INTERRUPTED
 
 
 def _drive_and_delay(
@@ -160,11 +160,12 @@ def search_once(
             store.write(key, {name: np.asarray(array) for name, array in dataclasses.asdict(search).items()})
     else:
         values = {name: array.tolist() for name, array in stored.items() if name != "theta"}
-        search = LeastSquaresResult(theta=stored["theta"], **values)
+        search = LeastSquaresResult(theta=stored["theta"], outcome=Outcome(values.pop("outcome")), **values)
         try:
             progress(search.steps, max_steps, search.cost)
         except KeyboardInterrupt:  # as in the search itself
-            search = dataclasses.replace(search, status=f"interrupted after {search.steps} steps")
+            status = f"interrupted after {search.steps} steps"
+            search = dataclasses.replace(search, outcome=Outcome.INTERRUPTED, status=status)
     predicted, covariance = _predict(fine, jnp.asarray(search.theta), arrays), _covariance(fine, search.theta, problem)
     innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
     return RefinedFit(fine, problem, search, covariance, innovation, np.asarray(predicted.velocity))

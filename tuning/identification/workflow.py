@@ -13,17 +13,15 @@ from diffdrive.errors import ParameterError
 from diffdrive.results import Result, Status
 from tuning.checked_logs import CheckedLogs, checked, require_sound
 from tuning.experiment_design.next_motion import Proposal, propose_motions
-from tuning.identification.estimates import ParameterEstimate
+from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.gaps import Gap, gaps
 from tuning.identification.identify import Identification
 from tuning.identification.identify import identify as fit_drive
-from tuning.identification.refinement import was_interrupted
 from tuning.identification.scale_noise import unstated_noise
+from tuning.optimisation.least_squares import Outcome
 from tuning.progress import Progress, reporting, searching
 from tuning.store.folder import FolderStore
 from tuning.store.store import Store
-
-CODES = {"converged": "ok", "converged; model incomplete": "structure_remains"}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -65,14 +63,14 @@ class IdentificationResult(Result):
         Without end (infinite) where the logs do not determine it; of no width for one that was held fixed.
         """
         estimate = self.estimate(name)
-        if estimate.status in ("not determined", "at its bound"):
+        if estimate.status in (EstimateStatus.UNDETERMINED, EstimateStatus.AT_BOUND):
             return (-np.inf, np.inf)
         return (estimate.low, estimate.high)
 
     @property
     def undetermined(self) -> tuple[str, ...]:
         """The parameters that the logs do not determine: they stay as they were."""
-        return tuple(estimate.name for estimate in self.estimates if estimate.status == "not determined")
+        return tuple(estimate.name for estimate in self.estimates if estimate.status is EstimateStatus.UNDETERMINED)
 
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:
@@ -89,13 +87,13 @@ class IdentificationResult(Result):
 
         Fewer where the axis's limits leave no motion, or no controller is known that could be simulated.
         """
-        if not self.fit.undetermined or self.fit.search.status != "converged":
+        if not self.fit.undetermined or self.fit.search.outcome is not Outcome.CONVERGED:
             return ()
         axis = self.initial_axis
         return tuple(propose_motions(self.fit, axis.controller, axis.sampling, axis.limits))
 
     def headline(self) -> str:
-        fitted = [estimate for estimate in self.estimates if estimate.status == "fitted"]
+        fitted = [estimate for estimate in self.estimates if estimate.status is EstimateStatus.FITTED]
         mass = self.estimate("mass")
         prefix = "" if self.status.ok else "NOT OK: "
         return (
@@ -106,7 +104,11 @@ class IdentificationResult(Result):
     def summary(self) -> str:
         rows = [f"{'parameter':<28}{'unit':<8}{'before':>12}{'identified':>12}  95 % interval"]
         for estimate in self.estimates:
-            interval = f"{estimate.low:.4g} to {estimate.high:.4g}" if estimate.status == "fitted" else estimate.status
+            interval = (
+                f"{estimate.low:.4g} to {estimate.high:.4g}"
+                if estimate.status is EstimateStatus.FITTED
+                else estimate.status
+            )
             named = f"{estimate.name:<28}{_unit(estimate.unit):<8}"
             rows.append(f"{named}{estimate.believed:>12.4g}{estimate.value:>12.4g}  {interval}")
         return "\n".join([self.headline(), *rows, *(f"- {note}" for note in self.notes)])
@@ -211,8 +213,6 @@ def _require_no_effects(axis: Axis) -> None:
 
 def _result(axis: Axis, found: Identification, used: CheckedLogs, held_out: CheckedLogs) -> IdentificationResult:
     """The result, with what is to be said of it."""
-    ok = found.search.status == "converged"
-    code = CODES.get(found.status, "interrupted" if was_interrupted(found.search) else "not_converged")
     findings = [*used.notable, *held_out.notable]
     notes = [f"{log}: {finding.message}; {finding.remedy}" for log, finding in findings]
     notes += [*found.notes, found.adequacy.says]
@@ -220,7 +220,7 @@ def _result(axis: Axis, found: Identification, used: CheckedLogs, held_out: Chec
     notes += [unstated] if unstated else []
     return IdentificationResult(
         replace(axis.with_drive(found.drive), name="identified"), tuple(found.estimates), found, used, held_out,
-        tuple(notes), axis, Status(ok, found.status, code=code),
+        tuple(notes), axis, Status(found.search.outcome is Outcome.CONVERGED, found.status, code=found.code),
     )  # fmt: skip
 
 

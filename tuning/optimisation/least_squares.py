@@ -3,6 +3,7 @@
 From one start, or from many in one vmapped program.
 """
 
+import enum
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,12 +28,21 @@ def no_progress(step: int, most: int, cost: float) -> None:
     """Show nothing."""
 
 
+class Outcome(enum.StrEnum):
+    """Why a search ended; programs go by it, its status says it in words."""
+
+    CONVERGED = "converged"
+    STOPPED = "stopped"  # after its last step, or by the solver
+    INTERRUPTED = "interrupted"  # by Ctrl-C
+
+
 @dataclass(frozen=True)
 class LeastSquaresResult:
     """Where a search ended: the best point, why it stopped, and the root of the sum of squares along the way."""
 
     theta: np.ndarray
-    status: str
+    outcome: Outcome
+    status: str  # the outcome in words
     initial_cost: float
     cost: float
     steps: int
@@ -150,7 +160,7 @@ def levenberg_marquardt(
     solver = LevenbergMarquardt(rtol=tolerance, atol=tolerance)
     scaled_args = (jnp.asarray(initial_cost / START_NORM), args)
     best, cost, history, accepted_costs = point, initial_cost, [initial_cost], [initial_cost]
-    status, count = f"stopped after {max_steps} steps, still falling", 0
+    outcome, status, count = Outcome.STOPPED, f"stopped after {max_steps} steps, still falling", 0
     try:
         state = _begin(residuals, solver, point, scaled_args)
         for count in range(1, max_steps + 1):
@@ -163,15 +173,17 @@ def levenberg_marquardt(
             if accepted_costs[-1] != float(new_cost):
                 accepted_costs.append(float(new_cost))  # a step that was taken, not one that only raised the damping
             if len(accepted_costs) > STALLED_STEPS and accepted_costs[-1 - STALLED_STEPS] - cost < min_gain * cost:
-                status = "converged"
+                outcome, status = Outcome.CONVERGED, "converged"
                 break
             if bool(finished):
-                status = "converged" if bool(result == optx.RESULTS.successful) else f"stopped: {result}"
+                outcome, status = Outcome.STOPPED, f"stopped: {result}"
+                if bool(result == optx.RESULTS.successful):
+                    outcome, status = Outcome.CONVERGED, "converged"
                 break
     except KeyboardInterrupt:
-        status = f"interrupted after {count - 1} steps"
+        outcome, status = Outcome.INTERRUPTED, f"interrupted after {count - 1} steps"
     return LeastSquaresResult(
-        np.asarray(best), status, initial_cost, cost, count, time.perf_counter() - started, history
+        np.asarray(best), outcome, status, initial_cost, cost, count, time.perf_counter() - started, history
     )
 
 

@@ -8,11 +8,11 @@ from matplotlib.figure import Figure
 
 from experiments.reports.readable import interval, shown
 from experiments.reports.report import new_figure, plain_logarithmic
-from tuning.identification.estimates import ParameterEstimate
+from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 
 WIDEST = 30.0  # ratio at which the axis ends; what lies beyond is drawn as an arrow at its end
 LINEAR = 2.0  # ratio up to which the axis is linear
-COLOURS = {"fitted": "C0", "at its bound": "C3"}  # grey: not fitted
+COLOURS = {EstimateStatus.FITTED: "C0", EstimateStatus.AT_BOUND: "C3"}  # grey: not fitted
 
 
 def forest(estimates: Sequence[ParameterEstimate]) -> Figure:
@@ -58,8 +58,8 @@ def _mark(axis: Axes, k: int, one: ParameterEstimate) -> float:
 
 
 def _numbers(one: ParameterEstimate) -> str:
-    unit, found = one.unit.replace("*", " "), one.status
-    if one.status == "fitted":
+    unit, found = one.unit.replace("*", " "), str(one.status)
+    if one.status is EstimateStatus.FITTED:
         found = "{} {unit} ({})".format(*interval(one.value, one.low, one.high), unit=unit)
     elif one.status in COLOURS:
         found = f"{shown(one.value)} {unit}, {one.status}"

@@ -20,13 +20,14 @@ from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs
 from tuning.identification import inverse_dynamics
-from tuning.identification.estimates import ParameterEstimate
+from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.identify import Identification
 from tuning.identification.inverse_dynamics import MIN_SPEED
 from tuning.identification.ranges import BOUNDABLE, NAMES
 from tuning.identification.refinement import was_interrupted
 from tuning.identification.scale_noise import unstated_noise
 from tuning.identification.workflow import IdentificationResult, identify_checked
+from tuning.optimisation.least_squares import Outcome
 from tuning.store.folder import FolderStore
 from tuning.sweeps.identified import write_uncertainty
 
@@ -153,7 +154,7 @@ def _inverse_dynamics(report: Report, result: IdentificationResult) -> None:
 
 def print_identification(report: Report, found: Identification) -> None:
     """What was found, whether it suffices, the table of estimates, and what the numbers mean."""
-    if found.search.status != "converged":
+    if found.search.outcome is not Outcome.CONVERGED:
         report.say("The search did not converge: these are the best parameters that it saw, not the best there are.")
     report.say(f"{readable.titled(found.adequacy.says)}.")
     estimates_table(report, found)
@@ -164,8 +165,8 @@ def estimates_table(report: Report, found: Identification) -> None:
     """Every parameter before and after, with its interval and the bounds of the search."""
 
     def row(one: ParameterEstimate) -> list[object]:
-        interval = [one.low, one.high] if one.status == "fitted" else [None, None]
-        free = one.status in ("fitted", "at its bound")
+        interval = [one.low, one.high] if one.status is EstimateStatus.FITTED else [None, None]
+        free = one.status in (EstimateStatus.FITTED, EstimateStatus.AT_BOUND)
         within = [_short(one.lowest), _short(one.highest)] if free else [None, None]
         return [one.name, one.unit, one.believed, one.value, *interval, *within, one.status]
 
@@ -184,7 +185,7 @@ def estimates_table(report: Report, found: Identification) -> None:
 
 def _estimate(one: ParameterEstimate) -> list[object]:
     value, between = readable.shown(one.value), one.status
-    if one.status == "fitted":
+    if one.status is EstimateStatus.FITTED:
         value, between = readable.interval(one.value, one.low, one.high)
     return [one.name, readable.unit_of(one.unit), one.believed, value, between]
 
@@ -195,7 +196,7 @@ def _hardly_determined(found: Identification) -> list[str]:
     for one in found.estimates:
         half = 0.5 * (one.high - one.low)
         as_believed = one.believed == 0.0 and one.low <= 0.0 <= one.high  # nothing is odd about a zero
-        if one.status != "fitted" or half <= HARDLY * abs(one.value) or as_believed:
+        if one.status is not EstimateStatus.FITTED or half <= HARDLY * abs(one.value) or as_believed:
             continue
         tied = [
             (abs(r), other)
@@ -243,10 +244,10 @@ def print_remarks(report: Report, found: Identification) -> None:
     if found.correlated:
         rows = [[_named(one), _named(other), r] for one, other, r in found.correlated]
         report.table("correlated", ("one", "other", "correlation"), rows, "Pairs that the logs hardly distinguish")
-    undetermined = [one.name for one in found.estimates if one.status == "not determined"]
+    undetermined = [one.name for one in found.estimates if one.status is EstimateStatus.UNDETERMINED]
     if undetermined:
         report.say(f"The logs do not determine {', '.join(undetermined)}: they stay as the drive file says.")
-    at_bound = [one.name for one in found.estimates if one.status == "at its bound"]
+    at_bound = [one.name for one in found.estimates if one.status is EstimateStatus.AT_BOUND]
     if at_bound:
         report.say(f"At the bound of their range, so the optimum may lie beyond: {', '.join(at_bound)}.")
 

@@ -17,7 +17,7 @@ from experiments.studies.emps import axis as emps
 from experiments.studies.emps.closed_loop_fit import MAX_STEPS, fit_closed_loop
 from tuning.identification import inverse_dynamics
 from tuning.identification.curves import stribeck_curves
-from tuning.identification.estimates import ParameterEstimate
+from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.identify import Identification, identify
 from tuning.identification.inverse_dynamics import BENCHMARK_BORDERS
 from tuning.identification.refinement import was_interrupted
@@ -115,7 +115,9 @@ def parameter_table(report: Report, estimates: list[ParameterEstimate], others: 
     rows = []
     for estimate in estimates:
         # the benchmark has no load: its slope stays, and Coulomb friction at no load is that of the screw
-        if estimate.status != "fixed" and not estimate.name.startswith(("load_coefficient", "coulomb_at_no_load")):
+        if estimate.status is not EstimateStatus.FIXED and not estimate.name.startswith(
+            ("load_coefficient", "coulomb_at_no_load")
+        ):
             other_values = [_parameter(drive, estimate.name) for drive in others.values()]
             rows.append(
                 [

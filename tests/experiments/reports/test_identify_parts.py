@@ -14,7 +14,7 @@ from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.emps import axis as emps
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
 from tests.support.sound_log import RATE, axis_of, simulate_log
-from tuning.identification.estimates import ParameterEstimate
+from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.modelled_friction import gap_free_pieces, modelled_friction
 from tuning.identification.problem import lanes_of
 
@@ -41,11 +41,11 @@ def test_stretches_are_those_of_the_lanes():
 
 def test_a_forest_plot_draws_every_kind_of_row():
     rows = [
-        ParameterEstimate("fitted", "kg", 100.0, 90.0, 80.0, 110.0, 3.0, 3e3, "fitted"),
-        ParameterEstimate("far", "N", 1e-3, 5.0, 4.0, 6.0, 1e-4, 5.0, "at its bound"),
-        ParameterEstimate("other sign", "N", 1e-3, -5.0, -6.0, -4.0, -9.0, 9.0, "fitted"),
-        ParameterEstimate("none believed", "N", 0.0, 3.0, 2.0, 4.0, -9.0, 9.0, "fitted"),
-        ParameterEstimate("left", "N", 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, "not determined"),
+        ParameterEstimate("fitted", "kg", 100.0, 90.0, 80.0, 110.0, 3.0, 3e3, EstimateStatus.FITTED),
+        ParameterEstimate("far", "N", 1e-3, 5.0, 4.0, 6.0, 1e-4, 5.0, EstimateStatus.AT_BOUND),
+        ParameterEstimate("other sign", "N", 1e-3, -5.0, -6.0, -4.0, -9.0, 9.0, EstimateStatus.FITTED),
+        ParameterEstimate("none believed", "N", 0.0, 3.0, 2.0, 4.0, -9.0, 9.0, EstimateStatus.FITTED),
+        ParameterEstimate("left", "N", 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, EstimateStatus.UNDETERMINED),
     ]
     figure = forest(rows)
     low, high = figure.axes[0].get_xlim()
@@ -65,9 +65,9 @@ def test_the_emps_drive_file_holds_the_published_parameters():
 
 def test_a_wide_interval_gets_a_note_unless_the_file_says_zero():
     rows = [
-        ParameterEstimate("bristle_damping", "N*s/m", 100.0, 90.0, -300.0, 500.0, 3.0, 3e3, "fitted"),
-        ParameterEstimate("constant_force", "N", 0.0, 0.1, -0.3, 0.5, -9.0, 9.0, "fitted"),
-        ParameterEstimate("mass", "kg", 100.0, 90.0, 70.0, 110.0, 3.0, 3e3, "fitted"),
+        ParameterEstimate("bristle_damping", "N*s/m", 100.0, 90.0, -300.0, 500.0, 3.0, 3e3, EstimateStatus.FITTED),
+        ParameterEstimate("constant_force", "N", 0.0, 0.1, -0.3, 0.5, -9.0, 9.0, EstimateStatus.FITTED),
+        ParameterEstimate("mass", "kg", 100.0, 90.0, 70.0, 110.0, 3.0, 3e3, EstimateStatus.FITTED),
     ]
     (alone,) = _hardly_determined(SimpleNamespace(estimates=rows, correlated=[]))
     assert "bristle_damping (not distinguished from 0), mass (± 22 %)" in alone

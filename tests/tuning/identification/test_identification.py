@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import equinox as eqx
 import numpy as np
@@ -32,12 +33,13 @@ from experiments.studies.recovery.study import BARS, true_values
 from experiments.studies.recovery.truth import truth_log
 from tuning.experiment_design.next_motion import candidates, propose_motions
 from tuning.identification.estimates import estimates, reported_parameters
-from tuning.identification.identify import COARSE_STEPS, INSEPARABLE, identify
+from tuning.identification.identify import COARSE_STEPS, INSEPARABLE, Identification, identify
 from tuning.identification.problem import Innovations
 from tuning.identification.refinement import MAX_ROUGH_STEPS, MAX_STEPS
 from tuning.identification.setup import build_problem
 from tuning.identification.uncertainty import Covariance
 from tuning.identification.unknowns import unknowns_of
+from tuning.optimisation.least_squares import Outcome
 
 RATE = 2_000.0
 GAINS = PDGains(PAPER_KP, PAPER_KD)
@@ -47,6 +49,25 @@ MACHINE = random_drive(np.random.default_rng(1))
 
 def stem(name):
     return name.removesuffix(".positive").removesuffix(".negative")
+
+
+CODES = {
+    (Outcome.CONVERGED, False): "ok",
+    (Outcome.CONVERGED, True): "structure_remains",
+    (Outcome.STOPPED, True): "not_converged",
+    (Outcome.INTERRUPTED, False): "interrupted",
+}
+
+
+@pytest.mark.parametrize(("outcome", "has_structure"), CODES)
+def test_what_programs_go_by_hangs_on_no_sentence(outcome, has_structure):
+    fit = object.__new__(Identification)
+    vars(fit).update(
+        search=SimpleNamespace(outcome=outcome, status="worded anew"),
+        adequacy=SimpleNamespace(has_structure=has_structure),
+    )
+    assert fit.code == CODES[outcome, has_structure]
+    assert ("model incomplete" in fit.status) == (fit.code == "structure_remains")
 
 
 # --- the unknowns

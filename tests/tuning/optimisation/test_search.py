@@ -10,7 +10,7 @@ from diffdrive.controllers.base import PDGains
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.model.parameters import Plant
 from diffdrive.numerics.arrays import as_arrays
-from tuning.optimisation.least_squares import levenberg_marquardt
+from tuning.optimisation.least_squares import Outcome, levenberg_marquardt
 from tuning.optimisation.space import FreeParameter, search_space, space_around
 
 
@@ -88,7 +88,7 @@ def test_least_squares_finds_the_minimum_of_rosenbrock():
         progress=lambda step, most, cost: seen.append((step, cost)),
     )
     np.testing.assert_allclose(found.theta, [1.0, 1.0], atol=1e-6)
-    assert found.status == "converged"
+    assert (found.outcome, found.status) == (Outcome.CONVERGED, "converged")
     assert [step for step, _ in seen] == list(range(1, found.steps + 1))
     assert np.all(np.diff([cost for _, cost in seen]) <= 0)
 
@@ -97,7 +97,7 @@ def test_a_search_that_runs_out_of_steps_says_so_and_returns_its_best():
     found = search_rosenbrock(
         max_steps=3,
     )
-    assert found.status == "stopped after 3 steps, still falling"
+    assert (found.outcome, found.status) == (Outcome.STOPPED, "stopped after 3 steps, still falling")
     assert found.cost == min(found.history) <= found.initial_cost
 
 
@@ -110,7 +110,7 @@ def test_an_interrupted_search_returns_the_best_it_has_seen():
         max_steps=100,
         progress=progress,
     )
-    assert found.status == "interrupted after 2 steps"
+    assert (found.outcome, found.status) == (Outcome.INTERRUPTED, "interrupted after 2 steps")
     assert found.cost == min(found.history) < found.initial_cost
 
 
