@@ -43,8 +43,7 @@ from tuning.diagnosis.trust import comparing
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
 from tuning.identification.prediction import Lanes
-from tuning.identification.problem import MIN_LANE_SAMPLES, lanes_of, noise_floor, sampling_of
-from tuning.identification.replay import long_pieces
+from tuning.identification.problem import MIN_LANE_SAMPLES, lanes_of, long_pieces, noise_floor, sampling_of
 from tuning.store.store import Store
 
 SUBSTEP = 50e-6  # s

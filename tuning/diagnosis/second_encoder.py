@@ -16,7 +16,7 @@ from diffdrive.effects.base import Effect, ScaleEffect
 from diffdrive.logs import Log
 from tuning.diagnosis.following import Track
 from tuning.identification.prediction import Lanes
-from tuning.identification.replay import long_pieces
+from tuning.identification.problem import long_pieces
 
 INDEPENDENT = 5e-3  # s: residuals of a twist that a model does not foresee hang together so long, at least
 

@@ -15,13 +15,12 @@ from diffdrive.numerics.arrays import as_arrays
 from tuning.identification.curves import HysteresisCurves, hysteresis_curves
 from tuning.identification.friction_along import friction_along
 from tuning.identification.gaps import delay_of
-from tuning.identification.problem import MIN_LANE_SAMPLES
+from tuning.identification.problem import long_pieces
 
 
 def gap_free_pieces(logs: Sequence[Log]) -> list[Log]:
     """The gap-free stretches in the order of `tuning.identification.problem.lanes_of`, each as a log of its own."""
-    pieces = [(log, piece) for log in logs for piece in log.pieces() if piece.stop - piece.start >= MIN_LANE_SAMPLES]
-    return [_piece_of(log, piece) for log, piece in pieces]
+    return [_piece_of(log, piece) for log in logs for piece in long_pieces(log)]
 
 
 def _piece_of(log: Log, piece: slice) -> Log:

@@ -21,9 +21,14 @@ MIN_LANE_SAMPLES = 200  # samples of a stretch that is worth a lane
 COARSE_SUBSTEP, FINE_SUBSTEP, FINEST_SUBSTEP = 100e-6, 25e-6, 6.25e-6  # s, at most
 
 
+def long_pieces(log: Log) -> list[slice]:
+    """The gap-free stretches that are worth a lane."""
+    return [piece for piece in log.pieces() if piece.stop - piece.start >= MIN_LANE_SAMPLES]
+
+
 def lanes_of(logs: list[Log]) -> Lanes:
     """The gap-free stretches of the logs side by side."""
-    stretches = [(log, piece) for log in logs for piece in log.pieces() if piece.stop - piece.start >= MIN_LANE_SAMPLES]
+    stretches = [(log, piece) for log in logs for piece in long_pieces(log)]
     if not stretches:
         raise LogError(
             f"no stretch of {MIN_LANE_SAMPLES} samples without a gap in {', '.join(log.name for log in logs)}"

@@ -30,7 +30,7 @@ from diffdrive.numerics.pipeline import require_shorter
 from diffdrive.results import Status
 from diffdrive.support.rates import is_same_rate
 from tuning.identification.prediction import FilterGains, Lanes, initial_state, predict
-from tuning.identification.problem import FINE_SUBSTEP, MIN_LANE_SAMPLES, lanes_of, sampling_of
+from tuning.identification.problem import FINE_SUBSTEP, lanes_of, long_pieces, sampling_of
 
 WARM_UP = 10  # samples before the log over which the controller is warmed up
 INITIAL_WINDOW = 5e-3  # s, and PAST samples at least: through so much the parabola at the first sample is laid
@@ -63,11 +63,6 @@ def replay_inputs(logs: list[Log]) -> ReplayInputs:
         Reference(*(jnp.stack(signals) for signals in zip(*past, strict=True))),
         jnp.stack(position),
     )
-
-
-def long_pieces(log: Log) -> list[slice]:
-    """The pieces that `lanes_of` makes lanes of."""
-    return [piece for piece in log.pieces() if piece.stop - piece.start >= MIN_LANE_SAMPLES]
 
 
 def _row(log: Log, piece: slice, longest: int) -> tuple[Reference, Reference, np.ndarray, float]:
