@@ -55,6 +55,12 @@ def test_a_log_is_given_one_load_and_a_held_out_one_is_told_from_it(tmp_path):
         tuning.identify(DRIVE, SOUND.replace(name="lap"), held_out=other, loads={"lap": 8e3})
 
 
+@pytest.mark.parametrize(("argument", "value"), [("starts", 0), ("starts", 2.5), ("seed", -1)])
+def test_a_search_that_cannot_be_is_refused_by_name_before_a_log_is_read(argument, value):
+    with pytest.raises(ParameterError, match=f"{argument}: must be a whole number from .*, got {value}"):
+        tuning.identify(DRIVE, "no such log.csv", **{argument: value})
+
+
 @pytest.mark.parametrize(
     ("call", "engine"),
     [

@@ -19,6 +19,7 @@ from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, check_drive
 from diffdrive.model.quantity import Directional
 from diffdrive.numerics.arrays import as_arrays, require_double_precision
+from diffdrive.support.bounds import require_count
 from diffdrive.support.resources import format_count, require_memory
 from tuning.identification.adequacy import Adequacy, adequacy
 from tuning.identification.estimates import ParameterEstimate, estimates
@@ -102,6 +103,7 @@ def identify(
     in the logs where they differ. Finished searches are kept in the `store`, and taken from there when the
     identification is begun again. Raises `LogError` where a log cannot be used and `ParameterError` for unknown names.
     """
+    require_search(starts, seed)
     require_double_precision()
     check_drive(drive)
     setup = build_problem(logs, drive, fixed, bounded or {})
@@ -145,6 +147,12 @@ def identify(
         full_fit=full_fit,
         undetermined=frozenset(undetermined | setup.unexcited),
     )
+
+
+def require_search(starts: int, seed: int) -> None:
+    """Raise `ParameterError` for a number of starts, or a seed, that is none."""
+    require_count("starts", starts)
+    require_count("seed", seed, at_least=0)
 
 
 def start_points(free: Sequence[FreeParameter], starts: int, seed: int) -> Float[np.ndarray, "s k"]:

@@ -15,7 +15,7 @@ from tuning.checked_logs import CheckedLogs, checked, require_sound
 from tuning.experiment_design.next_motion import Proposal, propose_motions
 from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.gaps import Gap, gaps
-from tuning.identification.identify import Identification
+from tuning.identification.identify import Identification, require_search
 from tuning.identification.identify import identify as fit_drive
 from tuning.identification.scale_noise import unstated_noise
 from tuning.optimisation.least_squares import Outcome
@@ -159,7 +159,8 @@ def identify(
 
     Raises:
         LogError: A log cannot be used, or would mislead.
-        ParameterError: No parameter or log has this name, or the axis has effects, of which identification knows none.
+        ParameterError: No parameter or log has this name, `starts` or `seed` is no such number, or the axis has
+            effects, of which identification knows none.
         ResultError: The search did not converge, with `throw`.
 
     Examples:
@@ -168,6 +169,7 @@ def identify(
         >>> fit.axis.write("identified.toml")
 
     """
+    require_search(starts, seed)  # before the logs are looked over, which takes a while
     _require_no_effects(axis)
     used, others = checked(axis, logs, held_out, loads=loads)
     if not force:
