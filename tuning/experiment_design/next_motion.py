@@ -28,6 +28,7 @@ from diffdrive.numerics.arrays import as_arrays
 from tuning.identification.estimates import ReportedParameter, reported_parameters
 from tuning.identification.filter_gain import filter_lanes
 from tuning.identification.identify import UNDETERMINED, Identification
+from tuning.identification.parameters import axis_path
 from tuning.identification.prediction import Lanes
 from tuning.identification.problem import IdentificationProblem
 from tuning.identification.refinement import RefinedFit, linearised
@@ -41,7 +42,7 @@ SPEED, ACCELERATION = 0.1, 2.0  # m/s and m/s^2, where the axis allows as much
 class Proposal(NamedTuple):
     """A motion for one parameter that the logs leave open."""
 
-    parameter: str  # path in the search space
+    parameter: str  # path in an axis
     motion: str  # what to run, in the form that `diffdrive simulate --motion` takes; "" where none of them helps
     unit: str
     before: float  # half-width of the 95 % interval, with the logs at hand; infinite where they say nothing
@@ -129,11 +130,11 @@ def propose_motions(
     """
     wide = identified.full_fit
     found = [
-        Proposal(path, "any sliding motion under a second load", "1", np.inf, np.nan)
-        for path in sorted(identified.undetermined)
+        Proposal(axis_path(path), "any sliding motion under a second load", "1", np.inf, np.nan)
+        for path in sorted(identified.open_unknowns)
         if path.startswith("load_coefficient")
     ]
-    open_ones = [(k, free) for k, free in enumerate(wide.residuals.free) if free.path in identified.undetermined]
+    open_ones = [(k, free) for k, free in enumerate(wide.residuals.free) if free.path in identified.open_unknowns]
     limits, about = available_limits(wide.problem.lanes, limits)
     motions = candidates(identified.drive, limits, sampling.rate, about)
     if not open_ones or not motions or isinstance(controller, UnknownController):
@@ -149,7 +150,7 @@ def propose_motions(
         scale = width * abs(slope)
         helps = wide.problem.prior[k] * after[best] < UNDETERMINED
         name = list(motions)[best] if helps else ""
-        found.append(Proposal(free.path, name, unit, scale * before, scale * after[best]))
+        found.append(Proposal(axis_path(free.path), name, unit, scale * before, scale * after[best]))
     return found
 
 
@@ -159,10 +160,10 @@ def _slope(wide: RefinedFit, path: str, k: int) -> tuple[str, float]:
     def row(theta: Float[Array, " k"]) -> ReportedParameter:
         drive, unknowns = wide.residuals.unpack(theta, wide.problem)
         together = frozenset({path} if "." not in path else ())
-        return next(row for row in reported_parameters(drive, unknowns, together) if row.path == path)
+        return next(row for row in reported_parameters(drive, unknowns, together) if row.unknown == path)
 
     theta = jnp.asarray(wide.search.theta).at[k].set(0.0)  # where it started, not where an open search wandered to
-    return row(theta).unit, float(jax.grad(lambda theta: row(theta).value)(theta)[k])
+    return row(theta).parameter.unit, float(jax.grad(lambda theta: row(theta).value)(theta)[k])
 
 
 def _width(information: Float[np.ndarray, "k k"], prior: Float[np.ndarray, " k"], k: int) -> float:

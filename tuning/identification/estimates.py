@@ -9,7 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.model.parameters import Drive
+from diffdrive.model.quantity import Directional
 from diffdrive.numerics.arrays import Scalar
+from tuning.identification.parameters import PARAMETERS, SIDES, IdentifiedParameter
 from tuning.identification.problem import IdentificationProblem, Innovations
 from tuning.identification.uncertainty import Covariance
 from tuning.identification.unknowns import Unknowns, free_paths, with_value
@@ -32,7 +34,7 @@ class ParameterEstimate(NamedTuple):
     `lowest` to `highest`, the others as found; both are `value` where it was not free.
     """
 
-    name: str  # as in the drive file, with .positive or .negative where the directions differ
+    path: str  # in the axis, with .positive or .negative where the directions differ
     unit: str
     believed: float
     value: float
@@ -42,56 +44,47 @@ class ParameterEstimate(NamedTuple):
     highest: float
     status: EstimateStatus
 
+    @property
+    def name(self) -> str:
+        """The path without the part of the axis, as tables and options have it."""
+        return self.path.partition(".")[2]
+
 
 class ReportedParameter(NamedTuple):
-    """One parameter as it is reported: which unknown it rests on, and its value."""
+    """One parameter as it is reported, in a direction or in both, and its value."""
 
-    key: str
-    side: str  # "positive", "negative", or "" where both directions are one
-    unit: str
-    unknown: str
+    parameter: IdentifiedParameter
+    side: str  # ".positive", ".negative", or "" where both directions are one
     value: Scalar
 
     @property
-    def name(self) -> str:
-        """Key and side."""
-        return f"{self.key}.{self.side}" if self.side else self.key
+    def path(self) -> str:
+        """In an axis."""
+        return f"{self.parameter.path}{self.side}"
 
     @property
-    def path(self) -> str:
-        """Where the unknown is in the search space."""
-        return f"{self.unknown}.{self.side}" if self.side else self.unknown
+    def unknown(self) -> str:
+        """Path in the search space of the unknown that it rests on."""
+        return f"{self.parameter.unknown}{self.side}"
 
 
 NORMAL = 1.959964  # half-width of a 95 % interval in standard deviations
 OPEN = 50.0  # half-width in the logarithm, beyond which an interval is simply open
-LINEAR = ("constant_force", "breakaway_gap", "coulomb_screw", "delay")  # may be of either sign
 
 
 def reported_parameters(drive: Drive, unknowns: Unknowns, symmetric: frozenset[str]) -> list[ReportedParameter]:
     """Every parameter that can be identified; those in `symmetric` have one value for both directions."""
-    friction = drive.friction
-    pairs = (
-        ("coulomb_at_no_load", "N", "coulomb", unknowns.coulomb),
-        ("coulomb_screw", "N", "coulomb", friction.coulomb_screw),
-        ("load_coefficient", "1", "load_coefficient", friction.load_coefficient),
-        ("breakaway_gap", "N", "breakaway", friction.breakaway_gap),
-        ("stribeck_velocity", "m/s", "stribeck_velocity", friction.stribeck_velocity),
-        ("viscous", "N*s/m", "viscous", friction.viscous),
-        ("bristle_stiffness", "N/m", "bristle_stiffness", friction.bristle_stiffness),
-        ("bristle_damping", "N*s/m", "bristle_damping", friction.bristle_damping),
-    )
-    rows = [
-        ReportedParameter("mass", "", "kg", "mass", drive.plant.mass),
-        ReportedParameter("constant_force", "", "N", "constant_force", drive.plant.constant_force),
-    ]
-    for key, unit, unknown, pair in pairs:
-        if unknown in symmetric:
-            rows.append(ReportedParameter(key, "", unit, unknown, pair.positive))
+    rows = []
+    for parameter in PARAMETERS:
+        value = parameter.value(drive, unknowns)
+        if not isinstance(value, Directional):
+            rows.append(ReportedParameter(parameter, "", value))
+        elif parameter.unknown in symmetric:
+            rows.append(ReportedParameter(parameter, "", value.positive))
         else:
-            rows.append(ReportedParameter(key, "positive", unit, unknown, pair.positive))
-            rows.append(ReportedParameter(key, "negative", unit, unknown, pair.negative))
-    return [*rows, ReportedParameter("delay", "", "periods", "delay", unknowns.delay)]
+            pair = zip(SIDES, (value.positive, value.negative), strict=True)
+            rows += [ReportedParameter(parameter, side, one) for side, one in pair]
+    return rows
 
 
 def estimates(
@@ -122,43 +115,40 @@ def estimates(
     at_bound = set(SearchSpace(innovations.free, problem.origin).near_bound(theta))
     table = []
     for row, value, width, direction in zip(before, estimated, widths, slope, strict=True):
-        if row.path in undetermined:
+        if row.unknown in undetermined:
             status = EstimateStatus.UNDETERMINED
-        elif row.path in at_bound or (row.path in bounds and not np.any(direction)):
+        elif row.unknown in at_bound or (row.unknown in bounds and not np.any(direction)):
             # its own, or that of what a drive file can say (no viscous friction below zero)
             status = EstimateStatus.AT_BOUND
         else:
             status = EstimateStatus.FITTED if np.any(direction) else EstimateStatus.FIXED
         if status is EstimateStatus.AT_BOUND:
             low, high = np.nan, np.nan  # the optimum may lie beyond: no interval describes that
-        elif row.key in LINEAR or value <= 0:
+        elif row.parameter.is_signed or value <= 0:
             low, high = value - width, value + width
         else:
             factor = np.exp(min(width / value, OPEN))
             low, high = value / factor, value * factor
-        lowest, highest = bounds.get(row.path, {}).get(row.name, (value, value))
-        table.append(
-            ParameterEstimate(
-                row.name, row.unit, float(row.value), float(value), float(low), float(high), lowest, highest, status
-            )
-        )
+        lowest, highest = bounds.get(row.unknown, {}).get(row.path, (value, value))
+        unit, believed, found = row.parameter.unit, float(row.value), (float(value), float(low), float(high))
+        table.append(ParameterEstimate(row.path, unit, believed, *found, lowest, highest, status))
     return table, covariance_of_values * (covariance.quantile / NORMAL) ** 2
 
 
 def _reported_bounds(
     theta: Float[Array, " k"], innovations: Innovations, problem: IdentificationProblem, symmetric: frozenset[str]
 ) -> dict[str, dict[str, tuple[float, float]]]:
-    """For each free path the bounds of what is reported of it, by name, the other unknowns as found."""
+    """For each free unknown the bounds of what is reported of it, by path, the other unknowns as found."""
     unknowns = innovations.unpack(theta, problem)[1]
 
     def values_at(path: str, end: float) -> dict[str, float]:
         moved = with_value(unknowns, path, end)
         return {
-            row.name: float(row.value) for row in reported_parameters(moved.drive(problem.believed), moved, symmetric)
+            row.path: float(row.value) for row in reported_parameters(moved.drive(problem.believed), moved, symmetric)
         }
 
     found = {}
     for path, low, high in innovations.free:
         lowest, highest = values_at(path, low), values_at(path, high)
-        found[path] = {name: (lowest[name], highest[name]) for name in lowest}
+        found[path] = {reported: (lowest[reported], highest[reported]) for reported in lowest}
     return found

@@ -23,6 +23,7 @@ from diffdrive.support.bounds import require_count
 from diffdrive.support.resources import format_count, require_memory
 from tuning.identification.adequacy import Adequacy, adequacy
 from tuning.identification.estimates import ParameterEstimate, estimates
+from tuning.identification.parameters import axis_path
 from tuning.identification.problem import COARSE_SUBSTEP, FINE_SUBSTEP, IdentificationProblem, Innovations, sampling_of
 from tuning.identification.refinement import (
     RefinedFit,
@@ -57,7 +58,7 @@ class Identification:
     estimate_covariance: Float[np.ndarray, "q q"]  # their covariance, as wide as their intervals are
     adequacy: Adequacy
     covariance: Covariance
-    correlated: list[tuple[str, str, float]]  # pairs that the logs hardly tell apart
+    correlated: list[tuple[str, str, float]]  # pairs, by their paths in an axis, that the logs hardly tell apart
     noise: float  # m
     process_force: float  # N, standard deviation of the force that the model lacks, were it white
     innovation: Float[np.ndarray, "lanes n"]  # m
@@ -67,7 +68,7 @@ class Identification:
     start_costs: Float[np.ndarray, " s"]  # cost of each start, over the best
     simulations: int  # of all logs, forward and with derivatives
     notes: tuple[str, ...]
-    undetermined: frozenset[str]  # paths in the search space
+    open_unknowns: frozenset[str]  # paths in the search space of what the logs do not determine
     full_fit: RefinedFit  # with every parameter free, before the undetermined ones were put back
 
     @property
@@ -145,7 +146,7 @@ def identify(
         simulations=(COARSE_STEPS * starts + fit.steps) * (1 + len(free)) + DELAYS,
         notes=(*setup.notes, *remark),
         full_fit=full_fit,
-        undetermined=frozenset(undetermined | setup.unexcited),
+        open_unknowns=frozenset(undetermined | setup.unexcited),
     )
 
 
@@ -230,7 +231,8 @@ def _correlated(free: tuple[FreeParameter, ...], covariance: Covariance) -> list
     for a in range(len(free)):
         for b in range(a):
             if abs(covariance.correlation[a, b]) > INSEPARABLE:
-                found.append((free[b].path, free[a].path, float(covariance.correlation[a, b])))
+                pair = axis_path(free[b].path), axis_path(free[a].path)
+                found.append((*pair, float(covariance.correlation[a, b])))
     return found
 
 

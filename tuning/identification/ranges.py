@@ -5,23 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from diffdrive.errors import ParameterError
+from tuning.identification.parameters import BOUNDABLE, axis_path, parameter_called
 from tuning.identification.problem import IdentificationProblem
 from tuning.identification.unknowns import default_bounds, free_paths, value_at, with_value
 from tuning.optimisation.space import FreeParameter, search_space
 
-NAMES = {  # in the drive file -> in the search
-    "mass": "mass",
-    "constant_force": "constant_force",
-    "coulomb_screw": "coulomb",
-    "load_coefficient": "load_coefficient",
-    "breakaway_gap": "breakaway",
-    "stribeck_velocity": "stribeck_velocity",
-    "viscous": "viscous",
-    "bristle_stiffness": "bristle_stiffness",
-    "bristle_damping": "bristle_damping",
-    "delay": "delay",
-}
-BOUNDABLE = NAMES | {"coulomb_at_no_load": "coulomb"}
 MARGIN = 0.02  # of its range (of its decades, where it is positive), by which a start is kept off its bounds
 
 
@@ -39,7 +27,7 @@ def free_space(
         possible = np.isfinite([limits.low, limits.high]).all() and limits.low < limits.high
         if not possible or limits.low <= 0 < _default_bounds(problem, path).low:
             raise ParameterError(
-                f"cannot bound {path} within {limits.low:g} to {limits.high:g}: not a range of its values"
+                f"cannot bound {axis_path(path)} within {limits.low:g} to {limits.high:g}: not a range of its values"
             )
         unknowns = with_value(unknowns, path, clipped_start(value_at(unknowns, path), limits))
         free.append(limits)
@@ -72,10 +60,9 @@ def _user_bounds(
         dict[str, FreeParameter](),
         [],
     )
-    for name, (low, high) in bounded.items():
-        if name not in BOUNDABLE:
-            raise ParameterError(f"cannot bound '{name}'; known: {', '.join(BOUNDABLE)}")
-        stem = BOUNDABLE[name]
+    for given, (low, high) in bounded.items():
+        parameter = parameter_called(given, BOUNDABLE, f"cannot bound '{given}'")
+        name, stem = parameter.name, parameter.unknown
         if stem in fixed:
             raise ParameterError(f"{name} is both bounded and held at the drive file's value: leave out one of the two")
         if name == "coulomb_screw" and "load_coefficient" not in fixed and float(friction.initial_load) > 0:

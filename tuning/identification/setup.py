@@ -13,9 +13,10 @@ from diffdrive.model.parameters import Drive, check_drive
 from diffdrive.support.rates import is_same_rate
 from tuning.identification import inverse_dynamics
 from tuning.identification.inverse_dynamics import LOAD_SPREAD, MIN_SPEED
+from tuning.identification.parameters import FIXABLE, parameter_called
 from tuning.identification.prediction import MAX_DELAY, constant_gains
 from tuning.identification.problem import IdentificationProblem, lanes_of, noise_floor
-from tuning.identification.ranges import NAMES, free_space
+from tuning.identification.ranges import free_space
 from tuning.identification.regressors import DIRECTIONAL
 from tuning.identification.seed import initial_drive
 from tuning.identification.unknowns import free_paths, unknowns_of
@@ -105,10 +106,7 @@ def _initial_drive(drive: Drive, logs: Sequence[Log]) -> tuple[Drive, list[str]]
 
 
 def _fixed_unknowns(fixed: Sequence[str]) -> set[str]:
-    unknown = [name for name in fixed if name not in NAMES]
-    if unknown:
-        raise ParameterError(f"cannot fix '{unknown[0]}'; known: {', '.join(NAMES)}")
-    return {NAMES[name] for name in fixed}
+    return {parameter_called(name, FIXABLE, f"cannot fix '{name}'").unknown for name in fixed}
 
 
 def _rough_bandwidth(drive: Drive, rate: float) -> float:

@@ -17,6 +17,7 @@ from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.gaps import Gap, gaps
 from tuning.identification.identify import Identification, require_search
 from tuning.identification.identify import identify as fit_drive
+from tuning.identification.parameters import without_side
 from tuning.identification.scale_noise import unstated_noise
 from tuning.optimisation.least_squares import Outcome
 from tuning.progress import Progress, reporting, searching
@@ -45,17 +46,17 @@ class IdentificationResult(Result):
     schema: ClassVar[str] = "identification/1"
 
     def estimate(self, name: str) -> ParameterEstimate:
-        """One parameter: by its path in the axis, such as `plant.mass`, or by its name.
+        """One parameter: by its path in the axis, such as `plant.mass`, or by its name, `mass`.
 
         A parameter that differs between the directions is named with `.positive` or `.negative`. Raises
         `ParameterError` for an unknown one.
         """
-        stem = name.removeprefix("plant.").removeprefix("friction.").removeprefix("actuator.")
-        known = {estimate.name: estimate for estimate in self.estimates}
-        both = stem.removesuffix(".positive").removesuffix(".negative")
-        if stem not in known and both not in known:
-            raise ParameterError(f"{name}: is not identified; known: {', '.join(known)}")
-        return known.get(stem) or known[both]
+        for wanted in (name, without_side(name)):
+            for estimate in self.estimates:
+                if wanted in (estimate.path, estimate.name):
+                    return estimate
+        known = ", ".join(estimate.path for estimate in self.estimates)
+        raise ParameterError(f"{name}: is not identified; known: {known}")
 
     def interval(self, name: str) -> tuple[float, float]:
         """The 95 % interval of one parameter.
@@ -69,8 +70,8 @@ class IdentificationResult(Result):
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """The parameters that the logs do not determine: they stay as they were."""
-        return tuple(estimate.name for estimate in self.estimates if estimate.status is EstimateStatus.UNDETERMINED)
+        """The paths of the parameters that the logs do not determine: they stay as they were."""
+        return tuple(estimate.path for estimate in self.estimates if estimate.status is EstimateStatus.UNDETERMINED)
 
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:
@@ -87,7 +88,7 @@ class IdentificationResult(Result):
 
         Fewer where the axis's limits leave no motion, or no controller is known that could be simulated.
         """
-        if not self.fit.undetermined or self.fit.search.outcome is not Outcome.CONVERGED:
+        if not self.fit.open_unknowns or self.fit.search.outcome is not Outcome.CONVERGED:
             return ()
         axis = self.initial_axis
         return tuple(propose_motions(self.fit, axis.controller, axis.sampling, axis.limits))
@@ -197,11 +198,9 @@ def identify_checked(
 ) -> IdentificationResult:
     """`identify` from logs that were looked over, whatever was found in them; finished searches are in the `store`."""
     _require_no_effects(axis)
-    names = {_parameter_name(name): limits for name, limits in bounds.items()}
     with searching(progress, "fitting friction, mass and delay") as step:
         found = fit_drive(
-            used.logs, axis.drive, fixed=[_parameter_name(name) for name in fixed], bounded=names, starts=starts,
-            seed=seed, store=store, progress=step,
+            used.logs, axis.drive, fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=step,
         )  # fmt: skip
     return _result(axis, found, used, held_out)
 
@@ -228,9 +227,3 @@ def _result(axis: Axis, found: Identification, used: CheckedLogs, held_out: Chec
 
 def _unit(unit: str) -> str:
     return "-" if unit == "1" else unit.replace("*", " ")
-
-
-def _parameter_name(path: str) -> str:
-    """The name of a parameter that is given by its path in the axis."""
-    part, _, name = path.partition(".")
-    return name if name and part in ("plant", "friction", "actuator") else path

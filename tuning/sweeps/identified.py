@@ -10,12 +10,12 @@ import tomli_w
 from diffdrive.errors import ParameterError
 from diffdrive.support.atomic_write import write_text
 from diffdrive.support.text_file import read_toml
-from tuning.identification.estimates import LINEAR, ParameterEstimate
+from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.identify import Identification
+from tuning.identification.parameters import parameter_at
 from tuning.sweeps.varied import MAX_LOG_DEVIATION
 
 FILE = "uncertainty.toml"
-NOT_IN_A_FILE = ("coulomb_at_no_load", "delay")  # the first is told by others, the second is no number of its own
 
 Correlation = Mapping[str, Mapping[str, float]]
 
@@ -32,33 +32,28 @@ def uncertainty(found: Identification) -> Uncertainty:
     kept = [
         k
         for k, one in enumerate(found.estimates)
-        if one.status == "fitted"
-        and one.name.split(".")[0] not in NOT_IN_A_FILE
+        if one.status is EstimateStatus.FITTED
+        and parameter_at(one.path).in_drive
         and found.estimate_covariance[k, k] > 0.0
     ]
     deviation = np.sqrt(np.diag(found.estimate_covariance))
-    vary = {drive_path(found.estimates[k]): _distribution(found.estimates[k], float(deviation[k])) for k in kept}
+    vary = {found.estimates[k].path: _distribution(found.estimates[k], float(deviation[k])) for k in kept}
     correlation: dict[str, dict[str, float]] = {}
     for at, k in enumerate(kept):
         others = {
-            drive_path(found.estimates[j]): float(
+            found.estimates[j].path: float(
                 np.clip(found.estimate_covariance[k, j] / (deviation[k] * deviation[j]), -1.0, 1.0)
             )
             for j in kept[at + 1 :]
         }
         if others:  # all of them, and with all digits: of nearly determined pairs no other numbers are possible
-            correlation[drive_path(found.estimates[k])] = others
+            correlation[found.estimates[k].path] = others
     return Uncertainty(vary, correlation)
-
-
-def drive_path(one: ParameterEstimate) -> str:
-    """In a drive."""
-    return f"plant.{one.name}" if one.name in ("mass", "constant_force") else f"friction.{one.name}"
 
 
 def _distribution(one: ParameterEstimate, deviation: float) -> str:
     unit = "" if one.unit == "1" else f" {one.unit}"
-    if one.name.split(".")[0] in LINEAR or one.value <= 0.0:
+    if parameter_at(one.path).is_signed or one.value <= 0.0:
         return f"normal:{one.value:.10g}{unit}..{deviation:.6g}{unit}"
     # beyond that nothing was told of it but that it is positive, and a sweep takes no wider one
     return f"lognormal:{one.value:.10g}{unit}..{100.0 * min(deviation / one.value, MAX_LOG_DEVIATION):.6g}%"

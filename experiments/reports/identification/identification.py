@@ -1,6 +1,6 @@
 """`diffdrive identify`: the drive that logs tell, how sure each parameter is, and whether the model suffices."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -8,8 +8,6 @@ import numpy as np
 
 from diffdrive.controllers import UnknownController
 from diffdrive.errors import DiffdriveError, ParameterError
-from diffdrive.model.parameters import Drive
-from diffdrive.model.quantity import quantities
 from diffdrive.motion.text import number
 from experiments.reports import readable
 from experiments.reports.axis_file import write_axis_file
@@ -23,7 +21,7 @@ from tuning.identification import inverse_dynamics
 from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.identify import Identification
 from tuning.identification.inverse_dynamics import MIN_SPEED
-from tuning.identification.ranges import BOUNDABLE, NAMES
+from tuning.identification.parameters import BOUNDABLE, FIXABLE, parameter_called
 from tuning.identification.refinement import was_interrupted
 from tuning.identification.scale_noise import unstated_noise
 from tuning.identification.workflow import IdentificationResult, identify_checked
@@ -31,7 +29,6 @@ from tuning.optimisation.least_squares import Outcome
 from tuning.store.folder import FolderStore
 from tuning.sweeps.identified import write_uncertainty
 
-SEARCHED = {searched: name for name, searched in NAMES.items()} | {"coulomb": "coulomb_at_no_load"}
 PARTS = "identification.parts"  # finished searches, from which the same command continues
 HARDLY = 0.1  # half of an interval over the value, from which a parameter is hardly determined
 NEAR = 1.01  # times the best cost, up to which a start has found the same
@@ -59,8 +56,9 @@ def identify_drive(
     `LogError` and `ParameterError`, one line each.
     """
     axis = axis_with_overrides(drive, columns, units, shifts, [*paths, *held_out])
-    bounded = parse_bounds(bounds, axis.drive)
-    _require_known(fixed, "--fix", NAMES)
+    bounded = parse_bounds(bounds)
+    for name in fixed:
+        parameter_called(name, FIXABLE, f"--fix {name}: no such parameter")
     applied = parse_loads(loads, [*paths, *held_out])
     with Report(f"{drive.name}: identification from {', '.join(path.name for path in paths)}", out) as report:
         checked = partial(read_sound_logs, description=axis, report=report, force=force, loads=applied)
@@ -101,31 +99,23 @@ def report_identification(report: Report, result: IdentificationResult) -> None:
             save_identification_figures(report, result.fit, result.initial_axis.drive, result.logs.logs)
 
 
-def parse_bounds(texts: Sequence[str], drive: Drive) -> dict[str, tuple[float, float]]:
+def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Bounds from `NAME=LOW:HIGH`, each a number in SI or with its unit; raises `ParameterError`."""
-    units = {path.split(".")[-1]: declared.unit for path, declared, _ in quantities(drive)}
-    units["coulomb_at_no_load"] = units["coulomb_screw"]
     bounded: dict[str, tuple[float, float]] = {}
     for text in texts:
         name, equals, limits = (part.strip() for part in text.partition("="))
         low, colon, high = limits.partition(":")
         if not (equals and colon):
             raise ParameterError(f"--bound {text}: write NAME=LOW:HIGH, such as mass=80:120")
-        _require_known([name], "--bound", BOUNDABLE)
-        if name in bounded:
+        parameter = parameter_called(name, BOUNDABLE, f"--bound {name}: no such parameter")
+        if parameter.path in bounded:
             raise ParameterError(f"--bound {text}: {name} is bounded twice")
-        unit = units.get(name, "1")  # the delay, in control periods, is no parameter of its own in the file
+        unit = parameter.unit if parameter.unit != "periods" else "1"
         ends = number(low.strip(), unit, f"--bound {text}"), number(high.strip(), unit, f"--bound {text}")
         if not ends[0] < ends[1]:
             raise ParameterError(f"--bound {text}: the lower end must be below the higher one")
-        bounded[name] = ends
+        bounded[parameter.path] = ends
     return bounded
-
-
-def _require_known(names: Sequence[str], option: str, known: Iterable[str]) -> None:
-    for name in names:
-        if name not in known:
-            raise ParameterError(f"{option} {name}: no such parameter; known: {', '.join(known)}")
 
 
 def _inverse_dynamics(report: Report, result: IdentificationResult) -> None:
@@ -198,12 +188,7 @@ def _hardly_determined(found: Identification) -> list[str]:
         as_believed = one.believed == 0.0 and one.low <= 0.0 <= one.high  # nothing is odd about a zero
         if one.status is not EstimateStatus.FITTED or half <= HARDLY * abs(one.value) or as_believed:
             continue
-        tied = [
-            (abs(r), other)
-            for a, b, r in found.correlated
-            for mine, other in ((a, b), (b, a))
-            if _named(mine) == one.name
-        ]
+        tied = [(abs(r), other) for a, b, r in found.correlated for mine, other in ((a, b), (b, a)) if mine == one.path]
         wide = "not distinguished from 0" if one.low < 0.0 < one.high else f"± {100.0 * half / abs(one.value):.0f} %"
         if tied:
             other = _named(max(tied)[1])
@@ -254,7 +239,7 @@ def print_remarks(report: Report, found: Identification) -> None:
 
 def _next_motions(report: Report, result: IdentificationResult) -> None:
     """Which motion would determine what these logs leave open."""
-    undetermined = result.fit.undetermined
+    undetermined = result.fit.open_unknowns
     if not undetermined:
         return
     with report.working("looking for the motions that would determine them"):
@@ -289,6 +274,5 @@ def _finite(width: float) -> float | None:
 
 
 def _named(path: str) -> str:
-    """A path of the search space under the name of the table of estimates."""
-    stem, dot, side = path.partition(".")
-    return f"{SEARCHED[stem]}{dot}{side}"
+    """A path in the axis as tables have it, without its part."""
+    return path.partition(".")[2]

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller
-from diffdrive.errors import LogError, ParameterError
+from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling, check_drive
@@ -25,8 +25,9 @@ from diffdrive.numerics.arrays import Scalar, as_arrays, require_double_precisio
 from diffdrive.support.rates import is_same_rate
 from tuning.identification import inverse_dynamics
 from tuning.identification.inverse_dynamics import LOAD_SPREAD, MIN_SPEED
+from tuning.identification.parameters import FIXABLE, parameter_called
 from tuning.identification.problem import FINE_SUBSTEP, sampling_of
-from tuning.identification.ranges import NAMES, clipped_start
+from tuning.identification.ranges import clipped_start
 from tuning.identification.regressors import DIRECTIONAL
 from tuning.identification.replay import ReplayInputs, replay, replay_inputs
 from tuning.identification.seed import initial_drive
@@ -100,14 +101,12 @@ def fit_closed_loop(
     check_drive(drive)
     if not logs or any(not is_same_rate(log.rate, logs[0].rate) for log in logs):
         raise LogError("give one log or more, all of one rate")
-    for name in fixed:
-        if name not in NAMES:
-            raise ParameterError(f"cannot fix '{name}'; known: {', '.join(NAMES)}")
+    held = {parameter_called(name, FIXABLE, f"cannot fix '{name}'").unknown for name in fixed}
     if start is None:
         start, _ = initial_drive(drive, inverse_dynamics.identify(list(logs), DIRECTIONAL, min_speed=MIN_SPEED))
     check_drive(start)
     pieces = replay_inputs(list(logs))
-    unknowns, free = _free_parameters(start, drive.actuator.delay_samples, pieces, {NAMES[name] for name in fixed})
+    unknowns, free = _free_parameters(start, drive.actuator.delay_samples, pieces, held)
     lanes = pieces.lanes
     # of a limit, a quantiser or an estimator's gate the search sees the smooth neighbour
     believed, smoothed = smooth((dataclasses.replace(start, actuator=drive.actuator, sensor=drive.sensor), controller))

@@ -183,8 +183,8 @@ def test_a_log_without_a_column_for_its_load_is_told_it(folder, tmp_path):
 
 
 def test_a_bound_may_carry_its_unit():
-    assert parse_bounds(["bristle_stiffness=20 N/um:50N/um"], TRUE.drive) == {"bristle_stiffness": (2e7, 5e7)}
-    assert parse_bounds(["delay=0:2"], TRUE.drive) == {"delay": (0.0, 2.0)}
+    assert parse_bounds(["bristle_stiffness=20 N/um:50N/um"]) == {"friction.bristle_stiffness": (2e7, 5e7)}
+    assert parse_bounds(["actuator.delay=0:2"]) == {"actuator.delay": (0.0, 2.0)}
 
 
 def test_a_log_that_is_none_is_refused(folder):

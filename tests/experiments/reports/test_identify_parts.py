@@ -41,11 +41,11 @@ def test_stretches_are_those_of_the_lanes():
 
 def test_a_forest_plot_draws_every_kind_of_row():
     rows = [
-        ParameterEstimate("fitted", "kg", 100.0, 90.0, 80.0, 110.0, 3.0, 3e3, EstimateStatus.FITTED),
-        ParameterEstimate("far", "N", 1e-3, 5.0, 4.0, 6.0, 1e-4, 5.0, EstimateStatus.AT_BOUND),
-        ParameterEstimate("other sign", "N", 1e-3, -5.0, -6.0, -4.0, -9.0, 9.0, EstimateStatus.FITTED),
-        ParameterEstimate("none believed", "N", 0.0, 3.0, 2.0, 4.0, -9.0, 9.0, EstimateStatus.FITTED),
-        ParameterEstimate("left", "N", 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, EstimateStatus.UNDETERMINED),
+        ParameterEstimate("plant.fitted", "kg", 100.0, 90.0, 80.0, 110.0, 3.0, 3e3, EstimateStatus.FITTED),
+        ParameterEstimate("plant.far", "N", 1e-3, 5.0, 4.0, 6.0, 1e-4, 5.0, EstimateStatus.AT_BOUND),
+        ParameterEstimate("plant.other sign", "N", 1e-3, -5.0, -6.0, -4.0, -9.0, 9.0, EstimateStatus.FITTED),
+        ParameterEstimate("plant.none believed", "N", 0.0, 3.0, 2.0, 4.0, -9.0, 9.0, EstimateStatus.FITTED),
+        ParameterEstimate("plant.left", "N", 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, EstimateStatus.UNDETERMINED),
     ]
     figure = forest(rows)
     low, high = figure.axes[0].get_xlim()
@@ -65,13 +65,17 @@ def test_the_emps_drive_file_holds_the_published_parameters():
 
 def test_a_wide_interval_gets_a_note_unless_the_file_says_zero():
     rows = [
-        ParameterEstimate("bristle_damping", "N*s/m", 100.0, 90.0, -300.0, 500.0, 3.0, 3e3, EstimateStatus.FITTED),
-        ParameterEstimate("constant_force", "N", 0.0, 0.1, -0.3, 0.5, -9.0, 9.0, EstimateStatus.FITTED),
-        ParameterEstimate("mass", "kg", 100.0, 90.0, 70.0, 110.0, 3.0, 3e3, EstimateStatus.FITTED),
+        ParameterEstimate(
+            "friction.bristle_damping", "N*s/m", 100.0, 90.0, -300.0, 500.0, 3.0, 3e3, EstimateStatus.FITTED
+        ),
+        ParameterEstimate("plant.constant_force", "N", 0.0, 0.1, -0.3, 0.5, -9.0, 9.0, EstimateStatus.FITTED),
+        ParameterEstimate("plant.mass", "kg", 100.0, 90.0, 70.0, 110.0, 3.0, 3e3, EstimateStatus.FITTED),
     ]
     (alone,) = _hardly_determined(SimpleNamespace(estimates=rows, correlated=[]))
     assert "bristle_damping (not distinguished from 0), mass (± 22 %)" in alone
     assert "constant_force" not in alone
-    tied, alone = _hardly_determined(SimpleNamespace(estimates=rows, correlated=[("mass", "constant_force", -0.97)]))
+    tied, alone = _hardly_determined(
+        SimpleNamespace(estimates=rows, correlated=[("plant.mass", "plant.constant_force", -0.97)])
+    )
     assert "mass: hardly determined (± 22 %): the logs hardly distinguish it from constant_force" in tied
     assert "mass" not in alone
