@@ -214,9 +214,9 @@ STRANGE_CSV = {
     "nothing but a line": ("1" * LONG, "line 1 has 200000 characters"),
     "400 digits": (
         spoilt(57, f"0.055,0.1,{'9' * 400},3"),
-        r"line 57, column 'position': '9{40}\.\.\.9{17}' is larger than any number that a computer",
+        r"line 57, column 'position': '9{40}\.\.\.9{17}' is larger than any double-precision number",
     ),
-    "an exponent of 400": (spoilt(57, "0.055,0.1,1e400,3"), "'1e400' is larger than any number"),
+    "an exponent of 400": (spoilt(57, "0.055,0.1,1e400,3"), "'1e400' is larger than any double-precision number"),
     "400 digits in a time": (spoilt(57, f"{'9' * 400},0.1,2,3"), "line 57, column 'time': '9.*9' is larger than any"),
     "very many columns": (
         ",".join(f"positio{k}" for k in range(3000)) + "\n" + (",".join("1" * 3000) + "\n") * 4,
