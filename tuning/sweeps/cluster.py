@@ -12,6 +12,7 @@ from typing import Any
 
 from diffdrive.errors import ParameterError
 from diffdrive.support.atomic_write import NO_SPACE
+from tuning.sweeps.identity import identity
 from tuning.sweeps.parts import ComputedParts, Engine, Notify
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.spec import SweepSpec, to_text
@@ -65,7 +66,7 @@ def on_cluster(spec: SweepSpec, address: str) -> Engine:
     text = to_text(spec)
 
     def engine(plan: SweepPlan, wanted: list[int], notify: Notify) -> ComputedParts:
-        identity = plan.identity()
+        question = identity(plan)
         place = f"cluster {address}"
         if not wanted:
             return _nothing()
@@ -80,7 +81,7 @@ def on_cluster(spec: SweepSpec, address: str) -> Engine:
                     missing = PARTS_PER_WORKER * max(1, len(client.nthreads())) - len(part_of)
                     futures = []
                     for part in itertools.islice(waiting, max(0, missing)):
-                        future = client.submit(run_part, text, identity, None, part, pure=False)
+                        future = client.submit(run_part, text, question, None, part, pure=False)
                         part_of[future] = part
                         futures.append(future)
                     return futures

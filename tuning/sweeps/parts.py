@@ -12,7 +12,10 @@ import pyarrow.parquet as pq
 
 from diffdrive.errors import ParameterError
 from diffdrive.support.atomic_write import atomic_write
+from tuning.sweeps.costs import part_costs
+from tuning.sweeps.identity import identity
 from tuning.sweeps.plan import SweepPlan
+from tuning.sweeps.possible import require_possible
 
 IDENTITY_KEY = b"diffdrive.sweep"
 MachinesDone = Callable[[int], None]  # machines that were done by now
@@ -38,13 +41,13 @@ def missing_parts(plan: SweepPlan, folder: Path) -> list[int]:
 
     Raises `ParameterError` if what is there is of another sweep: nothing is overwritten.
     """
-    identity = plan.identity().encode()
+    question = identity(plan).encode()
     wanted = {part_path(folder, part): part for part in range(plan.parts)}
     for path in sorted(folder.glob("part-*.parquet")):
-        stored_identity = _identity(path)
+        stored_identity = _stored_identity(path)
         if stored_identity is None and path in wanted:
             continue  # damaged: it is run again
-        if stored_identity != identity or path not in wanted:
+        if stored_identity != question or path not in wanted:
             raise ParameterError(
                 f"{path}: is of another sweep, one that differs in drive, controllers, motions, what varies, number of "
                 "machines or seed, in the version of diffdrive, jax, numpy or scipy, in processor, GPU or XLA_FLAGS: "
@@ -54,7 +57,7 @@ def missing_parts(plan: SweepPlan, folder: Path) -> list[int]:
     return sorted(wanted.values())
 
 
-def _identity(path: Path) -> bytes | None:
+def _stored_identity(path: Path) -> bytes | None:
     """The question that a part answers; None where nothing can be read."""
     try:
         return (pq.read_schema(path).metadata or {}).get(IDENTITY_KEY, b"")
@@ -65,7 +68,7 @@ def _identity(path: Path) -> bytes | None:
 def in_process(plan: SweepPlan, wanted: list[int], notify: Notify) -> ComputedParts:
     """The parts one after the other, in this process."""
     for part in wanted:
-        yield part, plan.costs(part)
+        yield part, part_costs(plan, part)
 
 
 def _no_notice(_: str) -> None:
@@ -76,13 +79,13 @@ def run_parts(
     plan: SweepPlan, folder: Path, report: MachinesDone, engine: Engine = in_process, notify: Notify = _no_notice
 ) -> ds.Dataset:
     """All parts of a sweep in `folder`, those that are missing computed by `engine`; as a dataset of all rows."""
-    identity, remaining = plan.identity(), missing_parts(plan, folder)
-    plan.require_possible(remaining)
+    question, remaining = identity(plan), missing_parts(plan, folder)
+    require_possible(plan, remaining)
     finished = plan.samples - sum(part_length(plan, part) for part in remaining)
     report(finished)
     with contextlib.closing(engine(plan, remaining, notify)) as computed:  # a full disk leaves no workers behind
         for part, table in computed:
-            write_part(table, part_path(folder, part), identity)
+            write_part(table, part_path(folder, part), question)
             finished += part_length(plan, part)
             report(finished)
     return ds.dataset([str(part_path(folder, part)) for part in range(plan.parts)], format="parquet")
@@ -94,7 +97,7 @@ def stored_errors(plan: SweepPlan, folder: Path, number: int, controller: str, m
     None where it is not there, or of another edition.
     """
     path = part_path(folder, number // plan.part_size)
-    if _identity(path) != plan.identity().encode():
+    if _stored_identity(path) != identity(plan).encode():
         return None
     wanted = (pc.field("machine") == number) & (pc.field("controller") == controller) & (pc.field("motion") == motion)
     rows = pq.read_table(path, columns=["rms_m", "peak_m", "diverged_at_s"], filters=wanted).to_pylist()

@@ -14,8 +14,11 @@ from diffdrive.loop.run import Run, with_status
 from diffdrive.model.parameters import Drive
 from diffdrive.motion.load import Ramp
 from diffdrive.numerics.arrays import as_arrays
+from tuning.sweeps.costs import SweepCosts, costs_of
+from tuning.sweeps.identity import identity
 from tuning.sweeps.machines import lane
-from tuning.sweeps.plan import SweepCosts, SweepPlan
+from tuning.sweeps.plan import SweepPlan
+from tuning.sweeps.possible import machine_cycles
 
 if TYPE_CHECKING:
     import xarray
@@ -76,7 +79,7 @@ def machine_run(plan: SweepPlan, machine: SweepMachine, controller: str, motion:
     """Every signal of a machine under a controller, with a status as any simulation has."""
     control, [(planned, over_time)] = (
         plan.controllers[controller],
-        plan.machine_cycles(np.array([machine.number]), motion),
+        machine_cycles(plan, np.array([machine.number]), motion),
     )
     loads = over_time + np.asarray(machine.ramp.at(planned.time - planned.time[0]))
     inputs = loop_inputs(planned, loads)
@@ -98,7 +101,7 @@ def run_errors(plan: SweepPlan, run: Run) -> tuple[float, float]:
 
 def repeat_costs(plan: SweepPlan, number: int, controller: str, motion: str) -> SweepCosts:
     """What the sweep itself computed for a machine, to the last bit: by the same program, the machine alone in it."""
-    return plan.costs_of(np.array([number]), motion, [controller])[controller]
+    return costs_of(plan, np.array([number]), motion, [controller])[controller]
 
 
 def traces(
@@ -153,5 +156,5 @@ def traces(
             "time": ("time", time, {"units": "s"}),
             **{name: varied(name) for name in plan.units},
         },
-        {"motion": motion, "sweep": plan.identity()},
+        {"motion": motion, "sweep": identity(plan)},
     )

@@ -13,6 +13,8 @@ from diffdrive.errors import ParameterError
 from diffdrive.runtime import allow_accelerator, configure, cores
 from diffdrive.support.processes import processes
 from diffdrive.support.resources import require_memory
+from tuning.sweeps.costs import part_costs
+from tuning.sweeps.identity import identity
 from tuning.sweeps.parts import ComputedParts, Engine, Notify
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.spec import SweepSpec, from_text, to_text
@@ -34,12 +36,12 @@ def _plan(text: str, devices: int | None) -> SweepPlan:
 def run_part(text: str, question: str, devices: int | None, part: int) -> pa.Table:
     """One part, on whichever machine this runs; `devices` is how many of its cores, None for all and a GPU."""
     plan = _plan(text, devices)
-    if plan.identity() != question:
+    if identity(plan) != question:
         raise ParameterError(
             "a worker has another version of diffdrive, jax, numpy or scipy, another processor, other XLA_FLAGS, or "
             "other effects and controllers of your own than the program that asks: they must be the same everywhere"
         )
-    return plan.costs(part)
+    return part_costs(plan, part)
 
 
 def on_workers(spec: SweepSpec, workers: int) -> Engine:
@@ -54,7 +56,7 @@ def on_workers(spec: SweepSpec, workers: int) -> Engine:
     text = to_text(spec)
 
     def engine(plan: SweepPlan, wanted: list[int], notify: Notify) -> ComputedParts:
-        run = functools.partial(run_part, text, plan.identity(), max(1, cores() // workers))
+        run = functools.partial(run_part, text, identity(plan), max(1, cores() // workers))
         remaining, losses = list(wanted), 0
         while remaining:
             try:

@@ -21,6 +21,7 @@ from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.model.quantity import quantities
 from diffdrive.motion.motion import Limits
 from tuning.sweeps.plan import SweepPlan
+from tuning.sweeps.possible import require_possible
 
 DRIVE = paper_drive(quantised=False)
 CONTROLLER = PD(paper_tracking(DRIVE, PAPER_KP, PAPER_KD))
@@ -158,4 +159,4 @@ def test_an_impossible_machine_of_a_sweep_is_named_before_any_runs():
     with pytest.raises(
         ParameterError, match=r"^sweep: machine \d cannot be: effects\.payload_mass: with it the moving"
     ):
-        plan.require_possible(range(plan.parts))
+        require_possible(plan, range(plan.parts))

@@ -20,10 +20,12 @@ from diffdrive.motion.text import LOADS, MOTIONS, motion_recipe, parse_load, par
 from experiments.cli.main import app
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.paper import scenario as paper
+from tuning.sweeps.costs import costs_of, machines_at_once, part_costs
 from tuning.sweeps.duty_cycles import _rounded_up, at_corners
 from tuning.sweeps.engine import block_size
 from tuning.sweeps.machines import lane
 from tuning.sweeps.plan import SweepPlan
+from tuning.sweeps.possible import machine_cycles, require_possible
 
 PAPER = paper_drive()
 DRIVE = Drive(PAPER.plant, PAPER.friction, PAPER.actuator, Sensor(1e-7))
@@ -42,7 +44,7 @@ def plan(vary=VARY, samples=96, texts=(SINE,), load=REMOVAL, limits=Limits(), na
 
 
 def rows(planned):
-    return {name: np.array(column) for name, column in planned.costs(0).to_pydict().items()}
+    return {name: np.array(column) for name, column in part_costs(planned, 0).to_pydict().items()}
 
 
 def test_each_machine_has_the_errors_of_its_own_motion_under_its_own_load():
@@ -68,9 +70,9 @@ def test_each_machine_has_the_errors_of_its_own_motion_under_its_own_load():
 def test_a_machine_has_the_same_bits_whichever_cycles_are_beside_it():
     """Shorter ones, longer ones, another length to which all are filled up."""
     planned = plan()
-    together = planned.costs_of(planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs
+    together = costs_of(planned, planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs
     for k in (5, 70):
-        alone = planned.costs_of(np.array([k]), SINE, planned.controllers)["PD+FC+LE"].costs
+        alone = costs_of(planned, np.array([k]), SINE, planned.controllers)["PD+FC+LE"].costs
         for one, same in zip(together, alone, strict=True):
             assert one[k] == same[0]
 
@@ -91,7 +93,7 @@ def test_a_loop_that_runs_away_after_the_end_of_its_cycle_has_not_diverged():
     late = dataclasses.replace(DRIVE, actuator=Actuator(delay_samples=60))
     vary = ("motion.duration=loguniform:0.03..1.5 s",)
     planned = plan(vary, 64, load="0", name="PD", drive=late)
-    costs, diverged_at = planned.costs_of(planned.numbers(0), SINE, ["PD"])["PD"]
+    costs, diverged_at = costs_of(planned, planned.numbers(0), SINE, ["PD"])["PD"]
     duration = rows(planned)["motion.duration"]
     stayed = np.isnan(diverged_at)
     assert 3 < np.sum(stayed) < 40
@@ -99,7 +101,7 @@ def test_a_loop_that_runs_away_after_the_end_of_its_cycle_has_not_diverged():
     assert np.all(diverged_at[~stayed] <= duration[~stayed])
     assert np.all(np.isfinite(costs.rms[stayed]) & np.isfinite(costs.command_noise[stayed]))
     for k in np.flatnonzero(stayed)[:3]:
-        alone, at = planned.costs_of(np.array([k]), SINE, ["PD"])["PD"]
+        alone, at = costs_of(planned, np.array([k]), SINE, ["PD"])["PD"]
         assert np.isnan(at).all()
         assert (alone.rms[0], alone.peak[0], alone.command_noise[0]) == (
             costs.rms[k], costs.peak[k], costs.command_noise[k],
@@ -111,33 +113,33 @@ def test_how_many_are_held_at_once_changes_nothing(monkeypatch):
     assert len(planned.numbers(0)) > 64
     found = []
     for held in (64, 128):  # in two portions, the second of them not full, and in one
-        monkeypatch.setattr(SweepPlan, "_machines_at_once", lambda *_, held=held: held)
-        found.append(planned.costs_of(planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs)
+        monkeypatch.setattr("tuning.sweeps.costs.machines_at_once", lambda *_, held=held: held)
+        found.append(costs_of(planned, planned.numbers(0), SINE, planned.controllers)["PD+FC+LE"].costs)
     assert all(np.array_equal(one, other) for one, other in zip(*found, strict=True))
 
 
 def test_memory_bounds_how_many_are_held_at_once(monkeypatch):
     planned = plan()
-    assert planned._machines_at_once(SINE) == block_size(own_cycles=True) * len(jax.devices())
-    monkeypatch.setattr("tuning.sweeps.plan.MAX_BYTES", 1.0)
-    assert planned._machines_at_once(SINE) == block_size(own_cycles=True)
+    assert machines_at_once(planned, SINE) == block_size(own_cycles=True) * len(jax.devices())
+    monkeypatch.setattr("tuning.sweeps.costs.MAX_BYTES", 1.0)
+    assert machines_at_once(planned, SINE) == block_size(own_cycles=True)
 
 
 def test_what_no_machine_runs_refuses_none():
     """A nominal load that lifts the table, a nominal motion that is too fast and too short."""
-    plan(("load.before=uniform:1..2 kN",), 8, load="step:at=0.01s,to=0,before=-16kN").require_possible([0])
+    require_possible(plan(("load.before=uniform:1..2 kN",), 8, load="step:at=0.01s,to=0,before=-16kN"), [0])
     slow = ("motion.amplitude=uniform:0.1..0.2 mm", "motion.duration=uniform:0.08..0.1 s")
-    plan(slow, 8, load="0", limits=Limits(speed=0.05), settle=0.06).require_possible([0])
+    require_possible(plan(slow, 8, load="0", limits=Limits(speed=0.05), settle=0.06), [0])
     with pytest.raises(DiffdriveError, match=r"machine \d+ cannot be: .*lifts the table"):
-        plan(("load.before=uniform:-17..-16 kN",), 8, load="step:at=0.01s,to=0,before=1kN").require_possible([0])
+        require_possible(plan(("load.before=uniform:-17..-16 kN",), 8, load="step:at=0.01s,to=0,before=1kN"), [0])
 
 
 def test_loads_are_added_when_each_acts():
     """A cut that takes away what was laid on before it."""
     later = ("load.change=fixed:-19 kN", "load.change.begin=fixed:0.03 s", "load.change.end=fixed:0.04 s")
-    plan(later, 8, load="ramp:start=0.01,end=0.02,to=20kN").require_possible([0])
+    require_possible(plan(later, 8, load="ramp:start=0.01,end=0.02,to=20kN"), [0])
     with pytest.raises(DiffdriveError, match=r"machine 0 cannot be: a load of -\d+ N lifts the table"):
-        plan(later, 8, load="ramp:start=0.045,end=0.05,to=20kN").require_possible([0])
+        require_possible(plan(later, 8, load="ramp:start=0.045,end=0.05,to=20kN"), [0])
     with pytest.raises(ParameterError, match=r"load.change does not vary: give it, too"):
         plan(("load.change.end=fixed:0.04 s",), 8, load="step:at=0.01s,to=10kN")
 
@@ -148,7 +150,7 @@ def test_every_setting_of_the_load_over_time_has_its_own_name():
             "load.change.end=fixed:0.02 s")  # fmt: skip
     planned, numbers = plan(vary, 8, load="step:at=0.01s,to=9kN"), np.arange(8)
     values = planned.values(numbers, SINE)
-    for k, (motion, load) in enumerate(planned.machine_cycles(numbers, SINE)):
+    for k, (motion, load) in enumerate(machine_cycles(planned, numbers, SINE)):
         assert load.max() == values["load.to"][k] > 5e3
         assert motion.time[np.argmax(load)] == pytest.approx(values["load.at"][k], abs=1e-4)
     _, ramps, _, _ = planned.machines(numbers)
@@ -180,12 +182,12 @@ def test_what_the_axis_cannot_do_is_found_before_anything_runs():
     triangle = "triangular:speed=0.1m/s,stroke=4mm,rounding=30ms,duration=0.1s"
     vary = ("motion.speed=uniform:0.05..0.2 m/s", "motion.stroke=uniform:2..8 mm")
     with pytest.raises(ParameterError, match=r"machine \d+ cannot be: .*does not fit between reversals"):
-        plan(vary, 64, (triangle,), "0").require_possible([0])
-    plan(vary, 64, (triangle.replace("30ms", "8ms"),), "0").require_possible([0])
+        require_possible(plan(vary, 64, (triangle,), "0"), [0])
+    require_possible(plan(vary, 64, (triangle.replace("30ms", "8ms"),), "0"), [0])
     with pytest.raises(ParameterError, match=r"machine \d+ cannot be: .*speed leaves 0.15 m/s"):
-        plan(vary, 64, (triangle.replace("30ms", "8ms"),), "0", Limits(speed=0.15)).require_possible([0])
+        require_possible(plan(vary, 64, (triangle.replace("30ms", "8ms"),), "0", Limits(speed=0.15)), [0])
     with pytest.raises(ParameterError, match=r"machine \d+ cannot be: .*is used up"):
-        plan(("load.workpiece=uniform:1..50 kg",), 64).require_possible([0])
+        require_possible(plan(("load.workpiece=uniform:1..50 kg",), 64), [0])
 
 
 def test_the_machines_at_the_corners_are_those_nearest_to_them():
