@@ -36,11 +36,11 @@ from tuning.identification.refinement import (
 )
 from tuning.identification.setup import build_problem
 from tuning.identification.uncertainty import Covariance, repetition_inflation
+from tuning.identification.unknowns import MULTIMODAL
 from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, StepProgress, multistart, no_progress
 from tuning.optimisation.space import FreeParameter, SearchSpace
 from tuning.store.store import Store, digest
 
-MULTIMODAL = ("breakaway", "stribeck_velocity", "bristle_stiffness", "bristle_damping", "delay")
 COARSE_EVERY = 8  # samples; the many starts look at each n-th innovation
 COARSE_STEPS = 8
 DELAYS = 19  # that are tried before, over the range of the delay

@@ -68,6 +68,8 @@ class Unknowns(eqx.Module):
         )
 
 
+# of which logs may leave several answers: searches begin at several values
+MULTIMODAL = ("breakaway", "stribeck_velocity", "bristle_stiffness", "bristle_damping", "delay")
 LOGARITHM_FLOOR = {
     "load_coefficient": 1e-5,
     "viscous": 1.0,
