@@ -107,7 +107,7 @@ def swapped(relation: ControllerRelation) -> Iterator[Hypothesis]:
 def position_and_reference(relation: ControllerRelation, ratio: float) -> Iterator[Hypothesis]:
     """One of the two has a wrong unit or sign: `ratio` is that of position to reference, as far as the loop follows."""
     logged = relation.logged
-    ratio = _exact_ratio(relation, ratio) if relation.axis.controller.is_linear else ratio
+    ratio = ratio if relation.axis.controller.has_friction_observer else _exact_ratio(relation, ratio)
     cause = "reversed" if abs(ratio + 1) < 0.5 else "gain"
     for channel, factor in (("position", 1 / ratio), ("reference", ratio)):
         factor = float(np.sign(factor)) if cause == "reversed" else factor
@@ -116,7 +116,7 @@ def position_and_reference(relation: ControllerRelation, ratio: float) -> Iterat
 
 
 def _exact_ratio(relation: ControllerRelation, ratio: float) -> float:
-    """The ratio at which the controller gives the command: it is linear in reference and in position."""
+    """The ratio at which the controller gives the command, as far as that is linear in the position."""
     logged = relation.logged
     zeros = np.zeros_like(logged.position)
     tracking, feedforward = relation.controller_commands(
@@ -261,8 +261,9 @@ def lengths(relation: ControllerRelation) -> Iterator[Hypothesis]:
 def offset(relation: ControllerRelation, output: Signal) -> Iterator[Hypothesis]:
     """The reference has another zero, which a controller with an integral turns into a ramp of its command."""
     controller = relation.axis.controller
-    if controller.is_memoryless or not controller.is_linear:
+    if controller.is_memoryless or controller.has_friction_observer:
         return
+    # of a law that is not linear this is the tangent, and the misfit says how far that goes
     logged, displacement = relation.logged, 1e-6
     displaced = relation.controller_commands([logged._replace(reference=logged.reference + displacement)])[0]
     yield Hypothesis("offset", "reference", logged, (), {}, (output, (displaced - output) / displacement))
