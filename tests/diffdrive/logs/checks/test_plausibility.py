@@ -176,6 +176,14 @@ def test_sound_logs_of_every_controller_pass(kind, more):
     assert matching(volts, "fatal", "command", r"multiply the command by 1(59|60)(\.\d+)? N per unit"), volts
 
 
+def test_lengths_in_another_unit_are_told_beside_a_controller_that_is_not_linear():
+    """A saturating one: its command for the log in metres is not that for millimetres over a thousand."""
+    drive = axis_of("dobvsc", cutoff=100.0)
+    log = simulate_log(drive, motion.jerk_limited(distance=0.05, speed=0.08, acceleration=2.0, jerk=50.0, rate=RATE))
+    found = examine(replaced(log, position=1e3 * log.position, reference=1e3 * log.reference), drive)
+    assert matching(found, "fatal", "position", r"position and reference are 1000 times .*mm for m"), found
+
+
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "data"
 without_bench = pytest.mark.skipif(not (SHARED / "bench").is_dir(), reason="the bench logs are not here")
 without_emps = pytest.mark.skipif(emps.find_folder() is None, reason="the EMPS files are not here")
