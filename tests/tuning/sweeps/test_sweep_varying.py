@@ -7,15 +7,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+import tuning
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import DiffdriveError, ParameterError
 from experiments.cli.sweeps import parse_tolerance, parse_vary
 from experiments.studies.demo import PAPER_DRIVE
-from tuning.sweeps.identified import Uncertainty, read_uncertainty
+from tuning.identification.estimates import EstimateStatus, ParameterEstimate
+from tuning.identification.identify import Identification
+from tuning.identification.workflow import IdentificationResult
+from tuning.sweeps.identified import FILE, Uncertainty, read_uncertainty, uncertainty, write_uncertainty
+from tuning.sweeps.identity import identity
 from tuning.sweeps.samples import correlate, correlation_root, unit_samples
 from tuning.sweeps.varying import all_that_varies
 
 DRIVE = read_axis(PAPER_DRIVE).drive
+SINE = "sine:amplitude=1mm,frequency=10Hz,duration=0.1s"
 
 
 def test_a_spread_is_of_all_parameters_that_are_not_varied_already():
@@ -59,6 +65,42 @@ def test_an_identification_says_what_varies_and_how_it_hangs_together(tmp_path):
     vary, together = all_that_varies(DRIVE, own, None, IDENTIFIED)
     assert vary == own | {"plant.mass": "lognormal:101 kg..0.4%"}
     assert together == {"plant.mass": {}}
+
+
+def identification():
+    """A fit of three parameters, two of which hang together."""
+    found = object.__new__(Identification)
+    estimates = [
+        ParameterEstimate("plant.mass", "kg", 100.0, 101.0, 100.0, 102.0, 50.0, 200.0, EstimateStatus.FITTED),
+        ParameterEstimate("plant.constant_force", "N", 0.0, 3.0, 2.0, 4.0, -9.0, 9.0, EstimateStatus.FITTED),
+        ParameterEstimate("friction.viscous", "N*s/m", 1e3, 1e3, 1e3, 1e3, 1e3, 1e3, EstimateStatus.FIXED),
+    ]
+    covariance = np.array([[0.25, -0.225, 0.0], [-0.225, 0.25, 0.0], [0.0, 0.0, 0.0]])
+    vars(found).update(estimates=estimates, estimate_covariance=covariance)
+    return found
+
+
+def test_a_result_of_identify_and_its_file_say_the_same(tmp_path):
+    fit = identification()
+    left = uncertainty(fit)
+    assert left.vary == {"plant.mass": "lognormal:101 kg..0.49505%", "plant.constant_force": "normal:3 N..0.5 N"}
+    assert left.correlation["plant.mass"]["plant.constant_force"] == pytest.approx(-0.9)
+    write_uncertainty(tmp_path, fit)
+    assert read_uncertainty(tmp_path / FILE) == left
+    result = object.__new__(IdentificationResult)
+    vars(result).update(fit=fit)
+    began = []
+
+    def started(plan, _):
+        began.append(plan)
+        raise KeyboardInterrupt
+
+    for identified in (result, tmp_path / FILE, str(tmp_path / FILE)):
+        with pytest.raises(KeyboardInterrupt):
+            tuning.sweep(read_axis(PAPER_DRIVE), SINE, identified=identified, settle=0.0, samples=8, started=started)
+    assert len({identity(plan) for plan in began}) == 1
+    assert began[0].correlation == left.correlation
+    assert list(began[0].units) == list(left.vary)
 
 
 def test_one_direction_given_leaves_the_other_as_it_was_identified():
