@@ -111,17 +111,14 @@ def parse_vary(texts: Sequence[str]) -> dict[str, str]:
 
 
 def parse_tolerance(text: str | None) -> float | None:
-    """A tolerance in m, above zero."""
+    """A tolerance in m."""
     from diffdrive.motion.text import number
 
     if text is None:
         return None
     if not text.strip()[-1:].isalpha():
         raise ParameterError(f"--tolerance {text}: give it with its unit, as 2um")
-    value = number(text, "m", "--tolerance")
-    if not value > 0.0:
-        raise ParameterError(f"--tolerance {text}: must be above zero")
-    return value
+    return number(text, "m", "--tolerance")
 
 
 def _read_others(drive: Path, others: Sequence[Path]) -> dict[str, "Axis"]:

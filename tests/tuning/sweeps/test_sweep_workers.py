@@ -3,15 +3,11 @@
 import multiprocessing
 import os
 import signal
-import subprocess
-import sys
-import time
 
 import pytest
 
-from diffdrive.axis_file.drive_file import read_axis
+import diffdrive as dd
 from diffdrive.errors import ParameterError
-from experiments.studies.demo import PAPER_DRIVE
 from tuning.sweeps import workers
 from tuning.sweeps.parts import run_parts
 from tuning.sweeps.spec import SweepSpec
@@ -20,10 +16,10 @@ from tuning.sweeps.workers import on_workers
 
 @pytest.fixture(scope="module")
 def wanted():
-    motion = "sine:amplitude=1mm,frequency=10Hz,duration=0.05s"
-    return SweepSpec.of(
-        read_axis(PAPER_DRIVE), motion, {"plant.mass": "lognormal:3%", "load": "uniform:0..10 kN"}, 96, most_in_a_part=8
-    )
+    """An axis and a motion that are in no file."""
+    axis = dd.paper_axis("pd+fc+le").replace({"plant.mass": 101})
+    motion = dd.motion.sine(amplitude=1e-3, frequency=10.0, duration=0.05, rate=axis.rate)
+    return SweepSpec.of(axis, motion, {"plant.mass": "lognormal:3%", "load": "uniform:0..10 kN"}, 96, most_in_a_part=8)
 
 
 def rows(found):
@@ -74,34 +70,3 @@ def test_workers_that_are_killed_again_and_again_are_given_up(wanted, tmp_path, 
     ):
         run_parts(wanted.plan(), tmp_path, lambda done: None, on_workers(wanted, 2))
     assert len(pools) == workers.MAX_LOSSES
-
-
-PROGRAM = """
-import os, sys
-from tuning.sweeps.workers import _pool
-with _pool(1) as pool:
-    print(pool.submit(os.getpid).result(), flush=True)
-    sys.stdin.read()
-"""
-
-
-@pytest.mark.slow
-def test_workers_end_when_the_process_that_started_them_is_killed():
-    process = subprocess.Popen([sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    worker = int(process.stdout.readline())
-    process.kill()
-    process.wait()
-    process.stdin.close()
-    until = time.monotonic() + 30.0
-    while _lives(worker):
-        assert time.monotonic() < until
-        time.sleep(0.05)
-    process.stdout.close()
-
-
-def _lives(pid):
-    try:
-        os.kill(pid, 0)
-    except OSError:
-        return False
-    return True
