@@ -158,6 +158,7 @@ def setuptools_is_new_enough():
         return False
 
 
+@pytest.mark.long
 def test_wheel_carries_every_module_and_data_file(wheel):
     data = [*(ROOT / "experiments" / "drives").glob("*.toml")]
     data += [ROOT / package / "py.typed" for package in PACKAGES]  # and what the public names are looked up in

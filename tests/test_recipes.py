@@ -94,6 +94,7 @@ def told(*arguments):
     return CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False).output
 
 
+@pytest.mark.long
 def test_a_program_of_ones_own_has_the_command_line_know_what_it_imports(package):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (package, ROOT)))}
     call = [sys.executable, "-m", "shop", "keys"]
@@ -123,6 +124,7 @@ def test_an_effect_is_in_axis_files(shop, tmp_path):
     assert "peak error" in told("simulate", tmp_path / "axis.toml", "--motion", SINE)
 
 
+@pytest.mark.long
 def test_an_effect_is_found_by_the_diagnosis_among_all_others(shop):
     fitter = fitter_of(shop.effect.Counterbalance(40.0, 0.06))
     base = recalibrated(fitter, TOLERANCE)

@@ -42,6 +42,7 @@ def test_the_papers_axis_runs_and_is_written_under_every_controller(kind, tmp_pa
     assert read.name == "heavier"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("path", "value"),
     [("kp", None), ("kd", None), ("plant.mass", 100.0), ("friction.viscous", 1800.0), ("load", 5_000.0)],

@@ -53,6 +53,7 @@ def assert_native(found, *wanted):
     assert set(wanted) <= {name.rpartition(".")[2] for name, _ in looping}
 
 
+@pytest.mark.long
 def test_the_tuner(compiled):
     gains, problem, _ = small_problem()
     y = np.zeros(len(gains.free))
@@ -62,6 +63,7 @@ def test_the_tuner(compiled):
     assert_native(compiled, "evaluate", "linearise_at", "_step")
 
 
+@pytest.mark.long
 def test_the_identification(compiled):
     residuals, problem = problem_at(1.3)
     most_likely(DELAYED, 1.3, NOISE, noisy_lane(), SAMPLING)
@@ -71,6 +73,7 @@ def test_the_identification(compiled):
     assert_native(compiled, "_deviances", "run_filter", "_step", "_step_lanes", "replay")
 
 
+@pytest.mark.long
 def test_the_diagnosis(compiled):
     """With an effect that is stepped within the filter, its fit by differences of whole filters among it."""
     fitter = fitter_of(FrameVibration(ratio=0.08, frequency=21.0, damping=0.05))

@@ -73,6 +73,7 @@ def tuned():
     return result, seen
 
 
+@pytest.mark.long
 def test_tuned_gains_say_what_they_are_worth_held_out(tuned):
     result, seen = tuned
     assert result.accepted
@@ -90,6 +91,7 @@ def test_tuned_gains_say_what_they_are_worth_held_out(tuned):
     assert seen[-1] == ("verifying on the exact simulator", 1, 1)
 
 
+@pytest.mark.long
 def test_a_report_of_tuned_gains_has_the_axis_to_run(tuned, tmp_path):
     experiments.report(tuned[0], tmp_path / "out")
     told = json.loads((tmp_path / "out" / "tuning.json").read_text())

@@ -175,6 +175,7 @@ def test_elements_stretch_alike_by_forces_and_by_a_known_travel(rate, allowed):
     assert np.all(off < allowed)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("slip", [3e-6, 1e-5])
 def test_a_dwell_holds_the_table_as_the_equations_say(slip):
     effect, rate = FrictionDwell(1.0, 0.05, slip, 5.0), 2_000.0
@@ -182,6 +183,7 @@ def test_a_dwell_holds_the_table_as_the_equations_say(slip):
     assert np.max(np.abs(ours(effect, rate) - truth)) < 7e-3 * np.max(np.abs(without - truth))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("screw", "share"),
     [

@@ -87,6 +87,7 @@ def test_no_value_crosses_a_gap():
     assert gaps == (4,)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("channel", "late", "already", "key"),
     [  # every channel, every move before and every key come together in pairs

@@ -221,6 +221,7 @@ def by_the_gain(kept, every):
     return jax.jit(jax.value_and_grad(cost)).lower(jnp.asarray(PAPER_KP)).compile()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kept", "every"), [(2, 1), (2, 4)])
 def test_how_many_steps_reverse_mode_keeps_changes_no_gradient(kept, every):
     """A remainder in both: 1801 steps in pairs, and the 3 between two recorded ones."""

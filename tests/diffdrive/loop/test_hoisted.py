@@ -67,6 +67,7 @@ def is_hoisted(function, *args):
     return one_kernel(jax.jit(function).lower(*args).compile().as_text())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CONTROLLERS)
 @pytest.mark.parametrize("machine", DRIVES)
 def test_one_lane_is_one_kernel(name, machine):
@@ -75,6 +76,7 @@ def test_one_lane_is_one_kernel(name, machine):
     assert is_hoisted(lambda d, c, i: rollout_loop(d, c, i, Sampling(), key), drive, controller, inputs())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_many_lanes_with_a_running_cost_are_one_kernel(name):
     drive, controller = as_arrays((PAPER, CONTROLLERS[name]))
@@ -113,6 +115,7 @@ def test_the_guard_sees_a_loop_that_is_no_kernel():
     assert not is_hoisted(solving, drive, controller, inputs())
 
 
+@pytest.mark.long
 def test_every_derivative_that_is_timed_is_one_kernel():
     compiled = loops.derivatives(PAPER, CONTROLLERS["PD+FC+LE"], inputs(), Sampling(substeps=1))
     assert {name: one.one_kernel for name, one in compiled.items()} == dict.fromkeys(compiled, True)
@@ -140,6 +143,7 @@ def swept(drive, name, noisy=False, precision="double", own_cycles=False):
     return engine._costs.lower(*models, Sampling(), len(jax.devices())).compile().compiled.as_text()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_the_blocks_of_a_sweep_are_one_kernel(name):
     assert one_kernel(swept(PAPER, name, noisy=True))
@@ -154,5 +158,6 @@ def test_machines_with_cycles_of_their_own_are_one_kernel():
     assert one_kernel(swept(PAPER, "PD+FC+LE", own_cycles=True))
 
 
+@pytest.mark.long
 def test_a_sweep_over_the_whole_catalogue_is_one_kernel():
     assert one_kernel(swept(with_effects(PAPER, EFFECTS), "PD+FC+LE"))

@@ -19,6 +19,7 @@ AXIS = AXIS.replace({"plant.mass": 110.0}).with_drive(
 )
 
 
+@pytest.mark.long
 def test_a_linear_loop_is_the_open_loop_of_the_smooth_axis():
     smooth = AXIS.smooth()
     theirs = jax.jit(

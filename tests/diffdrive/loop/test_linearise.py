@@ -226,6 +226,7 @@ def shifts_by_covariances(name, point):
     return modes, moved
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["PD", "PD+FC+LE", "PD+FC+LS"])
 @pytest.mark.parametrize("point", [1, 4])
 def test_covariances_move_no_mode_where_the_model_is_exact(name, point):
@@ -288,6 +289,7 @@ def pi_controller_whose_integral_is(name):
     return as_arrays(PI())
 
 
+@pytest.mark.long
 def test_a_state_takes_part_whatever_its_name():
     loops = [
         open_loop(drive_with(ONE_SAMPLE), pi_controller_whose_integral_is(name), Sampling(), OperatingPoint(0.01, 0.0))

@@ -43,6 +43,7 @@ def rippled(velocity, seed=0):
     return drive, state, ripple, np.array(exact)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("velocity", [0.0, 1e-5, -1e-3, 0.02])
 def test_a_force_that_ripples_is_one_force_after_the_other(velocity):
     """Of second order in the substep, at rest, in presliding and in sliding; the mean force alone is far from it."""

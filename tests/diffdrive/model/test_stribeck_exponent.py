@@ -116,6 +116,7 @@ def test_slopes_of_the_curve_are_those_of_differences(exponent):
         assert np.isfinite(slope)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("exponent", [0.7, 2.0])
 def test_the_error_of_a_whole_motion_by_the_exponent(exponent):
     """Through rest, a reversal and stick, forwards and backwards, against differences."""
@@ -149,6 +150,7 @@ def test_a_friction_shape_without_one_asks_for_no_power():
     assert shaped.alter(curved(2.0)).friction.stribeck_exponent == 2.0
 
 
+@pytest.mark.long
 def test_a_curve_of_another_exponent_is_found_by_its_name():
     """A machine with the textbook's curve, a drive file with the paper's."""
     truth = replace(DRIVE, drive=curved(2.0, DRIVE.drive))
@@ -189,6 +191,7 @@ def test_the_steepest_fall_is_that_of_the_curve(exponent):
     assert steepest_stribeck_slope(friction, "negative") == pytest.approx(scale * steepest, rel=1e-4)
 
 
+@pytest.mark.long
 def test_a_drive_file_that_states_none_is_written_without_one():
     """Though every hypothesis of the diagnosis holds the exponent as a number; one that is stated stays."""
     for stated, held in ((None, None), (2.0, 2.0)):

@@ -46,6 +46,7 @@ def assert_matches(bristle, velocity, time):
     np.testing.assert_allclose(ours[:, 3], exact[:, 3], rtol=tolerance)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("time", [1e-4, 1e-3, 2e-3])
 @pytest.mark.parametrize("load", [0.0, 10_000.0])
 def test_ad_and_bd_are_the_matrix_exponential_from_stick_to_traverse(drive, time, load):

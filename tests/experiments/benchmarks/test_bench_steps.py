@@ -55,6 +55,7 @@ def by_numba(numbers, load, sampling):
     return *one, both[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("quantised", [True, False])
 @pytest.mark.parametrize("hand_written", [by_c, by_numba])
 def test_a_hand_written_step_is_the_projects_own(hand_written, quantised):

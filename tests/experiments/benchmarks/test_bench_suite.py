@@ -80,6 +80,7 @@ def test_a_part_that_there_is_not_is_refused():
     assert "no such part; known: single" in str(result.exception)
 
 
+@pytest.mark.long
 def test_growth_is_told_and_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr(clock, "ROUNDS", 1)
     result = CliRunner().invoke(app, ["bench", "--part", "growth", "--out", str(tmp_path)])

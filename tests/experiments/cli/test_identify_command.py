@@ -80,6 +80,7 @@ def records(written):
     return written["tables"]["estimates"]["rows"]
 
 
+@pytest.mark.long
 def test_it_finds_the_machine_and_writes_everything(identified):
     result, out, written = identified
     assert result.exit_code == 0, result.output
@@ -258,6 +259,7 @@ def in_volts(folder, tmp_path):
     return path
 
 
+@pytest.mark.long
 def test_a_fatal_finding_ends_with_one_line_and_code_2(folder, in_volts, tmp_path):
     code = "from experiments.cli.main import main; main()"
     arguments = ["identify", in_volts, "--drive", folder / "drive.toml", "--out", tmp_path / "out"]
@@ -295,6 +297,7 @@ def test_ctrl_c_ends_the_search_at_its_next_step_and_a_second_one_at_once(monkey
     assert signal.getsignal(signal.SIGINT) is handler
 
 
+@pytest.mark.long
 def test_an_interrupted_identification_keeps_the_best_so_far_and_ends_with_3_and_continues(
     identified, folder, monkeypatch, tmp_path
 ):

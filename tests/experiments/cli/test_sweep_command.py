@@ -47,6 +47,7 @@ def swept(drives):
     return result, out, json.loads((out / "result.json").read_text())
 
 
+@pytest.mark.long
 def test_a_sweep_in_single_precision_is_another_sweep_and_replays_to_the_bit(drives, swept, tmp_path, monkeypatch):
     arguments = ("sweep", drives / "axis.toml", *VARY, "--motion", MOTION, "--samples", 64, "--settle", 0.02)
     result = run(*arguments, "--precision", "single", "--out", tmp_path / "swept")

@@ -69,6 +69,7 @@ def done(drive_file, tmp_path_factory):
     return out
 
 
+@pytest.mark.long
 def test_the_tuned_gains_are_better_and_everything_promised_is_written(done):
     written = numbers(done)
     assert written["verdict"] == {"accepted": True}
@@ -120,6 +121,7 @@ def test_a_bad_option_is_named(drive_file, option, value, says):
         tune(drive_file, *QUICK, option, value)
 
 
+@pytest.mark.long
 def test_what_cannot_be_kept_ends_with_3_and_writes_no_drive(drive_file, tmp_path):
     result = tune(drive_file, *QUICK, "--noise", "0.01N", "--out", tmp_path)
     assert result.exit_code == 3
@@ -135,6 +137,7 @@ def test_other_objectives(drive_file, tmp_path, extra):
     assert numbers(tmp_path)["tuning"]["objective"] < numbers(tmp_path)["tuning"]["objective_before"]
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.name == "nt", reason="a kill that cannot be caught is a POSIX signal")
 def test_killed_at_a_random_moment_and_resumed_it_ends_where_it_would_have(drive_file, done, tmp_path):
     """The same gains to 1e-9 as the run that was left alone."""

@@ -28,6 +28,7 @@ def test_a_fatal_finding_is_mended_before_any_motion(constant_force_diagnosis, c
     assert told["next_experiment"]["says"] == "before any motion, correct lap: give the unit"
 
 
+@pytest.mark.long
 def test_of_a_reversed_command_no_cause_is_looked_for_and_no_drive_file_written(tmp_path):
     """A rejected search of minutes, and a drive file that nobody should run."""
     path, drive, out = tmp_path / "reversed.csv", tmp_path / "drive.toml", tmp_path / "out"

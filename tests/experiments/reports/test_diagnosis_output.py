@@ -74,6 +74,7 @@ def with_second(found):
     )
 
 
+@pytest.mark.long
 def test_two_effects_are_told_as_they_were_fitted_together_and_as_the_augmented_drive_has_them(
     constant_force_diagnosis, command_for
 ):
@@ -96,6 +97,7 @@ def section(page, begin):
     return next(part for part in page.split("<h2>") if part.startswith(begin))
 
 
+@pytest.mark.long
 def test_the_page_and_the_json_say_how_far_the_gap_shrinks(constant_force_diagnosis, command_for):
     nominal = constant_force_diagnosis.rungs[0]  # as if recalibration had explained nothing
     told, out = command_for(with_rung(constant_force_diagnosis, 1, force=nominal.force, interval=nominal.interval))

@@ -188,6 +188,7 @@ def tiny():
     return gains, problem, points, [evaluate(gains, y, problem) for y in points]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [1, 2, 7, 8])
 def test_a_batch_costs_what_its_points_cost_one_by_one(tiny, count):
     gains, problem, points, one_by_one = tiny

@@ -219,6 +219,7 @@ def test_the_main_job_writes_all_that_it_promises(tmp_path):
         assert parameters["breakaway_gap.positive, N"] < -10.0  # friction rises from standstill
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")
 def test_reproduce_writes_every_table_and_figure(tmp_path):
     from experiments.studies.paper.reproduce import reproduce

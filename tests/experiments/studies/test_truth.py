@@ -85,6 +85,7 @@ def radau_loop(drive, reference, deflection):
     return np.array(positions)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("drive", [ASYMMETRIC, DELAYED], ids=["no delay", "delay of 1.3 periods, force limit"])
 def test_it_agrees_with_radau_through_a_reversal(drive):
     reference = there_and_back().position

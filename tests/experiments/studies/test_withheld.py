@@ -68,6 +68,7 @@ def make_case(case):
     return case
 
 
+@pytest.mark.long
 def test_an_answer_that_fails_is_an_error_and_whole(tmp_path, monkeypatch, capfd):
     def fails(case, without):
         raise ValueError("no such thing")
@@ -145,6 +146,7 @@ def test_a_case_that_kills_its_process_is_an_error_and_the_others_are_answered(t
     assert answer.unanswered(cases, out) == []
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="processes are listed in /proc on Linux only")
 def test_whoever_asks_no_more_leaves_no_process_behind(tmp_path):
     """The answering process is told to end while it has cases left: so do the processes that it began."""
@@ -193,6 +195,7 @@ def spy_folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.long
 def test_the_answering_process_is_given_machines_and_no_key(spy_folder):
     bench, out = spy_folder / "bench", spy_folder / "out"
     for name in "12":
@@ -248,6 +251,7 @@ def test_answers_of_other_sources_than_those_that_asked_are_refused(spy_folder):
         study._answer_cases(report, spy_folder / "cases", spy_folder / "out" / "answers", 1)
 
 
+@pytest.mark.long
 def test_answers_of_a_process_that_ends_early_are_kept(spy_folder):
     make_case(spy_folder / "cases" / "fail")
     with pytest.raises(Exception, match="exit status 3"), Report("check", spy_folder / "out") as report:
@@ -256,6 +260,7 @@ def test_answers_of_a_process_that_ends_early_are_kept(spy_folder):
     assert written["without"] == {"fail": ["cogging"]}
 
 
+@pytest.mark.long
 def test_the_key_is_written_after_the_answers(spy_folder, simulated_logs, monkeypatch):
     order = []
     ask, write = study._answer_cases, study.write_key
@@ -272,6 +277,7 @@ def test_the_key_is_written_after_the_answers(spy_folder, simulated_logs, monkey
     assert (order, simulated_logs) == (["ask", "key"], [])
 
 
+@pytest.mark.long
 def test_the_answering_process_runs_from_anywhere_and_outlives_a_case_that_cannot_be_read(tmp_path):
     make_case(tmp_path / "cases" / "1")
     with Report("check", tmp_path / "out") as report:

@@ -135,6 +135,7 @@ def test_every_effect_with_an_equation_of_its_own_is_held_against_the_catalogue(
     assert KNOWN.keys() <= EFFECTS.keys()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("faults", "effect", "most"), FAULTS, ids=[named(effect) for _, effect, _ in FAULTS])
 def test_a_fault_is_the_effect_of_its_name(faults, effect, most, fault_free):
     effects = effect if isinstance(effect, tuple) else (effect,)

@@ -39,6 +39,7 @@ def late(request):
     return explained(request.param, seed=2)
 
 
+@pytest.mark.long
 def test_a_delay_is_told_from_a_lag_by_what_follows_the_command(late):
     for found in late:
         assert found.base.evidence - found.best.evidence > 1000.0  # either explains much

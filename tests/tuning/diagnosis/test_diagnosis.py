@@ -57,6 +57,7 @@ def tilted(tmp_path_factory):
     return folder / "out", told
 
 
+@pytest.mark.long
 def test_a_sound_machine_has_no_effect_and_no_gap_beyond_its_floor(sound):
     assert sound.verdict.verdict == "none"
     recalibrated = sound.rungs[1]
@@ -65,6 +66,7 @@ def test_a_sound_machine_has_no_effect_and_no_gap_beyond_its_floor(sound):
     assert sound.rungs[0].force.rms > 1.5 * sound.floor  # as the engineer believes it, it is off
 
 
+@pytest.mark.long
 def test_a_tilt_is_named_measured_and_closes_the_gap_on_what_was_held_out(tilted):
     _, told = tilted
     assert told["verdict"] == "effect"
@@ -104,6 +106,7 @@ def test_what_is_written_can_be_read(tilted):
     assert float(augmented.effects[0].force) == pytest.approx(6.0, abs=0.1)
 
 
+@pytest.mark.long
 def test_an_effect_that_is_not_considered_is_not_named():
     found = diagnose(
         DRIVE.drive,
@@ -141,6 +144,7 @@ def test_the_motion_that_would_decide_is_written_to_be_run(tmp_path):
     np.testing.assert_allclose(position, motion.position, atol=1e-11)
 
 
+@pytest.mark.long
 def test_an_effect_that_the_drive_has_already_is_not_missing():
     drive = dataclasses.replace(DRIVE.drive, effects=(ConstantForce(6.0),))
     found = diagnose(drive, DRIVE.controller, [log_of(ConstantForce(6.0))])
@@ -236,6 +240,7 @@ def test_a_table_that_creeps_unseen_is_said_to_and_searched_all_the_same():
     assert not found[0].hopeless
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "position", "command", "needed"),
     [

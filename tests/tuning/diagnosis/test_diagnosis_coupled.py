@@ -37,6 +37,7 @@ def vibrating():
     return fitter, base, fit_from(fitter, base, screen(base, candidate))
 
 
+@pytest.mark.long
 def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_innovations(vibrating):
     fitter, base, fit = vibrating
     values = fit.model.values(fit.u)[0]
@@ -87,6 +88,7 @@ def test_differences_of_the_filter_are_its_answers_where_it_has_some(sound, monk
         assert off < 0.05, parameter.name
 
 
+@pytest.mark.long
 def test_what_acts_beside_an_effect_within_the_filter_is_screened_as_it_is():
     """Presliding by Maxwell elements alone: no linear recursion along the filter's course holds there."""
     truth = PreslidingHysteresis(share=0.95, longest=1e-5, shortest=0.2)
@@ -212,6 +214,7 @@ def test_a_fit_without_one_of_its_effects_begins_where_it_ended(sound, monkeypat
         np.testing.assert_allclose(found.model.values(found.u)[0][name], value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("gains", "searches"), [((0.0,), 1), ((50.0, 0.0), 2), ((50.0, 50.0, 50.0), 3)])
 def test_a_screw_is_searched_for_again_beside_a_tilt_as_long_as_it_helps(sound, monkeypatch, gains, searches):
     fitter, base = sound
@@ -238,6 +241,7 @@ def test_a_screw_is_searched_for_again_beside_a_tilt_as_long_as_it_helps(sound, 
     assert model.values(again.u)[0]["gap"][0] == pytest.approx(1.1**helped * PLAY["gap"])
 
 
+@pytest.mark.long
 def test_a_second_effect_is_begun_from_what_it_was_found_to_be_alone(sound):
     fitter, base = sound
     known = {one.name: one for one in catalogue(fitter, base)}

@@ -83,6 +83,7 @@ def test_an_effect_that_does_not_exist_cannot_be_left_out():
         diagnose(DRIVE.drive, DRIVE.controller, [SOUND], without=("coging",))
 
 
+@pytest.mark.long
 def test_a_drive_file_without_friction_has_priors_and_a_screening_of_numbers():
     friction = DRIVE.drive.friction
     none = dataclasses.replace(friction, coulomb_screw=Directional(1e-9, 1e-9), load_coefficient=Directional(0.0, 0.0))
@@ -146,6 +147,7 @@ def test_the_loop_is_judged_by_what_is_held_out():
     assert all_of_it.position_rms > 5e-5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("known", [True, False])
 def test_a_log_is_judged_in_closed_loop_if_its_own_reference_is_known(known):
     """Whatever is known of the other log's."""
@@ -178,6 +180,7 @@ def test_the_drive_file_that_was_given_is_never_removed_as_an_earlier_diagnosis(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_a_log_with_the_servo_off_is_told_not_to_move(tmp_path):
     """Not one innovation of it differs from zero: no scale of the noise fits that, and no force is missing."""
     count = 4000

@@ -49,6 +49,7 @@ def tilted():
     return fitter, recalibrated(fitter, TOLERANCE)
 
 
+@pytest.mark.long
 def test_a_sound_machine_is_recalibrated_and_nothing_is_missing(sound):
     _, base = sound
     assert np.max(np.abs(base.u)) < 3.0
@@ -83,6 +84,7 @@ def test_the_answers_are_the_derivatives_of_the_innovations(sound):
         assert np.linalg.norm(difference - column) < 0.05 * np.linalg.norm(column), name
 
 
+@pytest.mark.long
 def test_a_tilt_is_found_and_measured(tilted):
     fitter, base = tilted
     found = {one.name: screen(base, one) for one in catalogue(fitter, base) if one.parameters[0].amplitude}
@@ -94,6 +96,7 @@ def test_a_tilt_is_found_and_measured(tilted):
     assert lacking(fitter, fit) < LACKING
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("effect", "name", "key", "value"),
     [
@@ -145,6 +148,7 @@ def test_where_screening_points_too_far_a_fit_begins_without_the_effect():
     assert fit.model.values(fit.u)[0]["cosine"][0] == pytest.approx(2.0, abs=0.2)
 
 
+@pytest.mark.long
 def test_a_fit_that_stopped_on_its_way_goes_on_before_an_effect_is_credited(sound, tilted):
     fitter, base = sound
     cogging = next(one for one in catalogue(fitter, base) if one.name == "cogging")
@@ -162,6 +166,7 @@ def test_a_fit_that_stopped_on_its_way_goes_on_before_an_effect_is_credited(soun
     assert _further(fitter, base, []) is None
 
 
+@pytest.mark.long
 def test_what_made_up_for_an_effect_makes_way_for_it():
     """A workpiece of 25 kg, taken for a mass far off: the step that screening points to moves both."""
     fitter = fitter_of(PayloadMass(25.0))
@@ -255,6 +260,7 @@ def test_a_machine_has_one_screw(sound):
     assert not known["compliance"].excludes(known["cogging"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("delay", [0.15, 0.25])
 def test_a_delay_that_recalibration_made_up_for_is_screened_beside_what_makes_way_for_it(delay):
     fitter = fitter_of(LoopDelay(delay))
@@ -271,6 +277,7 @@ def test_a_delay_that_recalibration_made_up_for_is_screened_beside_what_makes_wa
     assert found.values["delay"][0] == pytest.approx(delay, rel=0.6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("reached", [6, 20])
 def test_a_limit_is_found_that_few_samples_reach(reached):
     """So few that no force is missed; how many, decides which step of a grid comes near it."""
@@ -287,6 +294,7 @@ def test_a_limit_is_found_that_few_samples_reach(reached):
     assert found.best.model.values(found.best.u)[-1]["limit"][0] == pytest.approx(limit, rel=1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("astray", [1e-6, 1e-4])
 def test_a_count_that_went_astray_is_no_event_nor_is_a_long_rest(astray):
     """The filter begins again after it, and is off once more."""
@@ -362,6 +370,7 @@ def test_the_least_process_force_hides_in_the_noise_of_a_fine_scale(sound):
     assert sound[0].least == LEAST
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("step", [0.0, 0.2])
 def test_what_recalibration_hid_is_found_however_coarsely_the_command_was_logged(step):
     """It begins far off, in a long valley: after a few steps it is still on its way, and looks worse than nothing."""

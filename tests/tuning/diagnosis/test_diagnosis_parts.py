@@ -153,6 +153,7 @@ def test_a_wave_far_larger_than_is_usual_is_registered_anew():
     assert (float(wave.cosine), float(wave.sine)) == pytest.approx((0.0, 3e-6), abs=2e-7)
 
 
+@pytest.mark.long
 def test_a_delay_that_is_claimed_and_not_there_is_found():
     log = simulate_log(DRIVE, two_sines())
     logs = logged_of(axis_of(delay=1).drive, [log])
@@ -168,6 +169,7 @@ def test_a_delay_that_is_claimed_and_not_there_is_found():
     assert found.actuator.delay_samples + float(found.actuator.delay_fraction) == pytest.approx(0.0, abs=0.05)
 
 
+@pytest.mark.long
 def test_a_fast_log_is_thinned_and_its_delay_still_counted_in_control_periods():
     fast = axis_of(rate=10_000.0, delay=3)
     log = simulate_log(fast, two_sines(2.0, 10_000.0))

@@ -53,6 +53,7 @@ def run_with(wave):
     return simulate_log(dataclasses.replace(MOTOR, drive=machine), from_array(time, 8e-3 * time))
 
 
+@pytest.mark.long
 def test_a_wave_many_times_the_friction_is_cogging_and_no_error_of_the_scale():
     found = diagnose(MOTOR.drive, UnknownController(), [run_with(WAVE)], without=OTHERS, most_effects=1)
     first = next(one for one in found.verdict.beliefs if one.found)

@@ -211,6 +211,7 @@ def test_details_that_an_effect_may_leave_are_no_larger_than_what_noise_makes(le
     assert confirmed(believed, rungs, Closed(0.999, 0.99, 1.0)).verdict == "effect"
 
 
+@pytest.mark.long
 def test_what_begins_in_the_last_part_of_a_single_log_is_proved_in_other_parts():
     """At 70 % of it: the first 60 % cannot tell how large it is."""
     loaded = dataclasses.replace(DRIVE.drive, effects=(AppliedLoad(more=40e3, start=3.5, end=1e9),))

@@ -30,6 +30,7 @@ def seen(velocity, bristle):
     return Seen(zero, zero, velocity, bristle, jnp.asarray(90.0), zero, jnp.asarray(500.0), jnp.asarray(4.0))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("screw", "at"),
     [
@@ -96,6 +97,7 @@ def test_a_lost_motor_rests_where_its_force_may_hold_it(force, deflection):
     assert hidden.unknown((screw,), DRIVE.drive, force)[0] == pytest.approx((max(force, friction) / stiffness) ** 2)
 
 
+@pytest.mark.long
 def test_the_filter_finds_a_motor_that_is_not_where_it_begins():
     """Begun in the middle of the gap, with the drive file off by its tolerance: blows tell where the motor is."""
     fitter, process = fitter_of(Backlash(**PLAY)), np.array([1.0, 1.0])

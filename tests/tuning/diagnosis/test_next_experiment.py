@@ -101,6 +101,7 @@ def test_a_fit_that_stopped_on_its_way_is_not_believed(monkeypatch):
     assert [number for number, steps in asked if steps == module.MORE] == [0, 2, 3]
 
 
+@pytest.mark.long
 def test_a_motion_is_simulated_with_one_cause_and_read_by_the_other():
     pushed = dataclasses.replace(DRIVE.drive, effects=(ConstantForce(6.0),))
     log = logged_of(DRIVE.drive, [simulate_log(dataclasses.replace(DRIVE, drive=pushed), two_sines())])

@@ -46,6 +46,7 @@ def in_lane(effect):
     return type(effect)(**{f.name: jnp.asarray([getattr(effect, f.name)]) for f in dataclasses.fields(effect)})
 
 
+@pytest.mark.long
 def test_a_screw_winds_up_by_what_it_carries_over_its_stiffness():
     """In steady sliding it carries the table's share of the friction."""
     *given, friction = sliding()
@@ -55,6 +56,7 @@ def test_a_screw_winds_up_by_what_it_carries_over_its_stiffness():
     assert found == pytest.approx(0.6 * friction / stiffness, rel=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("beside", [-40.0, 40.0, 120.0])
 def test_a_screw_does_not_carry_what_something_else_pushes(beside):
     """On an inclined axis: beyond the table's share of the friction, the screw holds it back."""

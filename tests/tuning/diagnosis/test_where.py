@@ -184,6 +184,7 @@ def coloured(seed, count):
     return scipy.signal.lfilter([1.0], [1.0, -fade], np.random.default_rng(seed).standard_normal(count))
 
 
+@pytest.mark.long
 def test_in_noise_hardly_any_region_is_significant():
     time = np.arange(10_000) / RATE
     position = 0.02 * np.sin(3.0 * time) + 0.003 * np.sin(11.0 * time)

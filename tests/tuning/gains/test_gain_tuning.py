@@ -154,6 +154,7 @@ def test_friction_can_be_tuned_along_in_each_direction():
     assert any(one.path == "observer.friction.bristle_damping.negative" for one in space.free)
 
 
+@pytest.mark.long
 def test_tuning_gains_a_lot_and_keeps_what_is_required(usual):
     assert usual.status == "converged"
     assert usual.feasible
@@ -168,6 +169,7 @@ def test_tuning_gains_a_lot_and_keeps_what_is_required(usual):
     assert [entry[0] for entry in history] == sorted(entry[0] for entry in history)
 
 
+@pytest.mark.long
 def test_what_binds_is_named_and_is_worth_what_is_said(usual):
     """Relaxing the noise by 2 % lowers the objective by about twice what 1 % is said to be worth."""
     worths = {one.name: one.gain for one in usual.binding}
@@ -199,6 +201,7 @@ def test_an_unstable_start_is_led_to_stable_gains(factor, usual):
     assert float(found.point.objective) < 1.05 * float(usual.point.objective)
 
 
+@pytest.mark.long
 def test_a_killed_search_goes_on_to_the_same_end(tmp_path, usual):
     for steps in (1, 2, 5):
 

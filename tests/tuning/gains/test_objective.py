@@ -114,6 +114,7 @@ def test_scenarios_that_cannot_stand_side_by_side_are_refused():
         ensemble([], Sampling(), settle=0.1)
 
 
+@pytest.mark.long
 def test_a_lane_is_the_scenario_simulated_alone():
 
     given_controller = as_arrays(smooth(controller()))

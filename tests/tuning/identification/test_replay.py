@@ -153,6 +153,7 @@ def test_the_replay_is_differentiable():
     np.testing.assert_allclose(slope, numeric, atol=1e-4)
 
 
+@pytest.mark.long
 def test_the_closed_loop_fit_finds_the_drive_behind_a_log():
     truth, controller = axis(gap=(-6.0, -8.0), delay_samples=1, delay_fraction=0.3), CONTROLLERS["cascade"]
     log = part(logged(truth, controller, 0.0), slice(100, None))  # a fit sees no start from rest
@@ -169,6 +170,7 @@ def test_the_closed_loop_fit_finds_the_drive_behind_a_log():
     assert found.friction.load_coefficient == believed.friction.load_coefficient  # one load: not free
 
 
+@pytest.mark.long
 def test_a_fit_leaves_what_is_fixed():
     truth, controller = axis(gap=-6.0), CONTROLLERS["cascade"]
     log = part(logged(truth, controller, 0.0), slice(100, None))

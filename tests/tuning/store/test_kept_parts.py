@@ -152,6 +152,7 @@ def looked(store):
     return look(fitter, recalibrated(fitter, TOLERANCE), few, lambda *_: None, lambda _: 0.0)
 
 
+@pytest.mark.long
 def test_a_search_that_was_interrupted_ends_as_if_it_had_not_been(tmp_path):
     for after in (1, 3):
         with pytest.raises(KeyboardInterrupt):

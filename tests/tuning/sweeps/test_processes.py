@@ -38,6 +38,7 @@ def alive(process):
     return True
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("which", [signal.SIGKILL, signal.SIGINT])
 def test_processes_end_with_the_one_that_asked(tmp_path, which):
     (tmp_path / "computing.py").write_text(COMPUTES)

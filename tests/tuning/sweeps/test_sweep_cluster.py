@@ -31,6 +31,7 @@ def rows(found):
     return found.to_table().sort_by("machine")
 
 
+@pytest.mark.long
 def test_a_lost_worker_changes_nothing(tmp_path):
     wanted = asked()
     plan, killed = wanted.plan(), []
@@ -48,6 +49,7 @@ def test_a_lost_worker_changes_nothing(tmp_path):
     assert together.equals(alone)
 
 
+@pytest.mark.long
 def test_a_cluster_without_workers_says_what_it_waits_for_and_goes_on_when_one_comes(tmp_path):
     wanted, said = asked(), []
     plan = wanted.plan()
@@ -65,6 +67,7 @@ def test_a_cluster_without_workers_says_what_it_waits_for_and_goes_on_when_one_c
     assert together.equals(alone)
 
 
+@pytest.mark.long
 def test_a_cluster_that_is_lost_says_that_the_same_command_goes_on(tmp_path):
     """Scheduler and worker as programs of their own, killed."""
     wanted, file, parts = asked(), tmp_path / "scheduler.json", tmp_path / "parts"

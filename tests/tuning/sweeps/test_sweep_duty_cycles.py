@@ -219,6 +219,7 @@ def test_the_settings_that_may_vary_are_numbers_of_every_kind_of_motion_and_load
     assert "material_removal" in LOADS
 
 
+@pytest.mark.long
 def test_a_sweep_over_motions_is_told_drawn_and_run_again(tmp_path):
     out = tmp_path / "swept"
     arguments = ("sweep", PAPER_DRIVE, "--motion", SINE, "--motion", SINE.replace("1mm", "3mm"), "--samples", 256,

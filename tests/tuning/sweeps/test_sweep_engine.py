@@ -98,6 +98,7 @@ def test_a_machine_at_the_limit_of_an_effect_is_at_the_force_limit():
     assert not np.any(swept("PD", 64)[0].saturated)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["PD", "DOBVSC", "PD+FF+DOB", "PD+FC", "PD+FC+LE", "PD+FC+LS"])
 def test_in_single_precision_errors_are_off_by_nanometres(name):
     """A float's grid is 0.1 nm at 1 mm; the same machines under the same loads and noise."""
@@ -108,6 +109,7 @@ def test_in_single_precision_errors_are_off_by_nanometres(name):
     assert np.median(np.abs(single.command_noise / double.command_noise - 1.0)) < 0.03  # quanta fall as they may
 
 
+@pytest.mark.long
 def test_every_effect_runs_in_single_precision():
     """Its state and its waves in the precision of the loop: a scan refuses a carry of another kind."""
     at_work = (friction.FrictionDwell(0.3, 0.02, 1e-5), friction.PreslidingHysteresis(0.7, 5e-6, 0.3),
@@ -120,6 +122,7 @@ def test_every_effect_runs_in_single_precision():
     assert np.max(np.abs(single.rms / double.rms - 1.0)) < 5e-3
 
 
+@pytest.mark.long
 def test_lanes_are_the_same_to_the_bit_on_any_number_of_devices():
     program = (
         "from diffdrive.runtime import configure; configure()\n"

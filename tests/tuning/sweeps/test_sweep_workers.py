@@ -38,6 +38,7 @@ def listening():
     }
 
 
+@pytest.mark.long
 def test_workers_open_no_port_and_a_lost_one_changes_nothing(wanted, tmp_path):
     plan, before, ports, said, killed = wanted.plan(), listening(), set(), [], []
     alone = rows(run_parts(plan, tmp_path / "alone", lambda done: None))

@@ -136,6 +136,7 @@ def complaints(findings):
     return [one for one in findings if one.severity != "note"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", HAPPENED)
 def test_what_happened_is_named_first_and_a_mend_leads_back_to_the_sound_log(name):
     log, cause, channels, mended = HAPPENED[name]
@@ -153,6 +154,7 @@ def test_what_happened_is_named_first_and_a_mend_leads_back_to_the_sound_log(nam
         assert np.max(np.abs(log.channels[channel] - log.channels[channel][0] - signal + signal[0])) < 1e-5 * size
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("skip", [2, 3])
 def test_rows_that_are_left_out_are_no_other_gains_and_no_pulses(remembering, skip):
     drive, log = remembering

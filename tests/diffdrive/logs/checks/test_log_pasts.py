@@ -126,6 +126,7 @@ CORRUPTED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("start", [0, 5000])
 @pytest.mark.parametrize("name", CORRUPTED)
 def test_true_traps_are_found_all_the_same(sine, name, start):

@@ -80,6 +80,7 @@ def test_an_unquantised_position_is_noted():
     assert complaints(findings) == []
 
 
+@pytest.mark.long
 @given(st.floats(-4.0, 4.0))
 @settings(max_examples=12)
 def test_every_unit_of_the_command_is_recovered(power):
@@ -92,6 +93,7 @@ def test_every_unit_of_the_command_is_recovered(power):
         assert matching(findings, "warning", "command", "force constant or gains are off")
 
 
+@pytest.mark.long
 @given(st.integers(-2, 2), st.integers(-2, 2))
 @settings(max_examples=8)
 def test_every_shift_is_recovered(command, position):
@@ -155,6 +157,7 @@ def test_sound_logs_of_other_axes_pass(mass, gain, noise, resolution, which, see
     assert complaints(examine(log)) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "more"),
     [
@@ -237,6 +240,7 @@ TWICE = ("warning", "disturbance", r"contains 1\.013\d N per unit of the disturb
 PULSE_VOLTS = ("fatal", "disturbance", r"contains 35\.6\d+ N per unit of the disturbance \(1\.01\d+ units")
 
 
+@pytest.mark.long
 @without_emps
 @pytest.mark.parametrize(
     ("which", "newtons", "told"),
@@ -261,6 +265,7 @@ def test_emps_volts_are_told_from_mass_and_friction_alone():
     assert float(re.search(r"about ([\d.]+) N per unit", volts.remedy).group(1)) == pytest.approx(35.15, rel=0.1)
 
 
+@pytest.mark.long
 @without_emps
 @pytest.mark.parametrize("newtons", [True, False])
 def test_emps_pulses_are_seen_although_no_channel_holds_them(newtons):

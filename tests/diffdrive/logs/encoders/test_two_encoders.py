@@ -63,6 +63,7 @@ def test_lost_motion_and_its_parts_are_found_before_any_fit(backlash, wind_up):
     assert found.wind_up.value + found.backlash.value == pytest.approx(found.reversal_error.value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("wind_up", [0.0, 5e-6, 20e-6, 40e-6])
 def test_without_backlash_none_is_reported(wind_up):
     _, log = of(wind_up=wind_up)
