@@ -113,6 +113,7 @@ def searched_again(tuned, monkeypatch):
     return asked, found
 
 
+@pytest.mark.long
 def test_a_pareto_front_is_searched_as_its_result_was(tuned, searched_again, tmp_path):
     result, front = tuned[0], tuning.pareto_front(tuned[0], [30.0, 10.0])
     assert searched_again[0] == [
@@ -126,6 +127,7 @@ def test_a_pareto_front_is_searched_as_its_result_was(tuned, searched_again, tmp
     assert (told["schema"], [point["noise_limit_N"] for point in told["points"]]) == ("pareto/1", [10.0, 30.0])
 
 
+@pytest.mark.long
 def test_a_pareto_front_says_what_it_has_not(tuned, searched_again):
     found, search = searched_again[1], tuned[0].search
     constraints = {**search.point.constraints, "phase margin": np.array([0.2])}
@@ -140,6 +142,7 @@ def test_a_pareto_front_says_what_it_has_not(tuned, searched_again):
         tuning.pareto_front(tuned[0], [10.0, 20.0], throw=True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("limits", "says"), [([5.0, -1.0], "noise_limits: must be above 0 N, got -1"), ([], "one")])
 def test_limits_of_a_pareto_front_are_above_zero(tuned, limits, says):
     with pytest.raises(ParameterError, match=says):
@@ -168,6 +171,7 @@ def test_a_sweep_goes_on_where_it_was_and_counts_as_by_hand(tmp_path):
         tuning.sweep(AXIS, LAP, against={"paper": AXIS}, **asked)
 
 
+@pytest.mark.long
 def test_what_is_not_ok_raises_where_that_is_asked_for(tuned):
     result = dataclasses.replace(tuned[0], status=dataclasses.replace(tuned[0].status, ok=False, message="too late"))
     with pytest.raises(ResultError, match="too late"):

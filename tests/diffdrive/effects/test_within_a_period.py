@@ -142,6 +142,7 @@ def rms(signal):
     return np.sqrt(np.mean(signal**2))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rate", [2_000.0, 10_000.0])
 @pytest.mark.parametrize("longest", [2e-6, 1e-5])
 def test_elements_move_the_table_as_the_equations_say(rate, longest):

@@ -229,6 +229,7 @@ def test_how_many_steps_reverse_mode_keeps_changes_no_gradient(kept, every):
     np.testing.assert_allclose(by_the_gain(kept, every)(at), by_the_gain(1, every)(at), rtol=1e-9)
 
 
+@pytest.mark.long
 def test_every_second_step_kept_takes_half_the_memory():
     memory = [by_the_gain(kept, 1).memory_analysis().temp_size_in_bytes / SAMPLES * 50_000 for kept in (1, 2)]
     assert memory[1] < 0.65 * memory[0]

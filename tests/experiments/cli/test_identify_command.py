@@ -97,6 +97,7 @@ def test_it_finds_the_machine_and_writes_everything(identified):
     assert "stopped_by" not in written
 
 
+@pytest.mark.long
 def test_what_is_printed_is_in_the_json(identified):
     result, _, written = identified
     viscous = estimates(written)["viscous.positive"]
@@ -113,6 +114,7 @@ def test_what_is_printed_is_in_the_json(identified):
     assert any(said.startswith("Nothing is missing that these logs would show") for said in written["notes"])
 
 
+@pytest.mark.long
 def test_fixed_parameters_stay_and_undetermined_ones_are_named(identified):
     _, _, written = identified
     found = estimates(written)
@@ -124,6 +126,7 @@ def test_fixed_parameters_stay_and_undetermined_ones_are_named(identified):
     assert any("do not determine load_coefficient.positive" in said for said in written["notes"])
 
 
+@pytest.mark.long
 def test_the_gap_closes_also_on_the_held_out_log(identified):
     _, _, written = identified
     rows = written["tables"]["gaps"]["rows"]
@@ -134,6 +137,7 @@ def test_the_gap_closes_also_on_the_held_out_log(identified):
     assert step["other"] == pytest.approx(step["lap"], rel=0.1)
 
 
+@pytest.mark.long
 def test_the_identified_drive_file_reads_back_and_simulates(identified, folder):
     _, out, written = identified
     believed, found = read_axis(folder / "drive.toml"), read_axis(out / "identified.toml")
@@ -274,6 +278,7 @@ def test_a_fatal_finding_ends_with_one_line_and_code_2(folder, in_volts, tmp_pat
     assert not (tmp_path / "out" / "identified.toml").exists()
 
 
+@pytest.mark.long
 def test_force_goes_on_over_a_fatal_finding_and_says_so(in_volts, capsys):
     with Report("forced", None) as report:
         read_sound_logs([in_volts], TRUE, report, name="findings", force=True)
@@ -339,6 +344,7 @@ class _interrupting:  # noqa: N801
         return None
 
 
+@pytest.mark.long
 def test_what_it_left_open_is_what_a_sweep_varies(identified):
     _, out, written = identified
     axis = read_axis(out / "identified.toml")

@@ -81,6 +81,7 @@ def test_the_tuned_gains_are_better_and_everything_promised_is_written(done):
     assert not (done / CHECKPOINT).exists()
 
 
+@pytest.mark.long
 def test_the_hand_over_reads_back_in_newtons_and_in_volts(done):
     handed = tomllib.loads((done / "handover.toml").read_text())
     gains = read_axis(done / "tuned.toml").controller.tracking.gains
@@ -92,6 +93,7 @@ def test_the_hand_over_reads_back_in_newtons_and_in_volts(done):
     assert handed["conditions"]["loads_N"] == [0.0, 12_600.0]
 
 
+@pytest.mark.long
 def test_quieter_costs_tracking(done):
     rows = numbers(done)["tables"]["pareto"]["rows"]
     assert [row[0] for row in rows] == [10.0, 30.0]

@@ -122,6 +122,7 @@ def test_the_page_and_the_json_say_how_far_the_gap_shrinks(constant_force_diagno
     assert "held out" in text
 
 
+@pytest.mark.long
 def test_where_recalibration_hides_the_gap_it_is_said(constant_force_diagnosis):
     told = as_json(constant_force_diagnosis, constant_force_log.NO_EXPERIMENT)
     closed, last = told["closed"], told["ladder"][-1]
@@ -140,6 +141,7 @@ def paid(*_):
     }
 
 
+@pytest.mark.long
 def test_what_closing_the_gap_pays_reaches_the_page_and_the_json(constant_force_diagnosis, command_for, monkeypatch):
     monkeypatch.setattr(command, "payoff", paid)
     told, out = command_for(constant_force_diagnosis, tuned=True)
@@ -150,6 +152,7 @@ def test_what_closing_the_gap_pays_reaches_the_page_and_the_json(constant_force_
     assert "<td>tuned on augmented</td><td>1.5</td>" in text
 
 
+@pytest.mark.long
 def test_a_verdict_that_is_not_sure_stands_before_what_it_pays(constant_force_diagnosis, command_for, monkeypatch):
     monkeypatch.setattr(
         command, "payoff", lambda *_: paid() | {"tuned on nominal": paid()["given"] | {"runs_ok": False}}
@@ -165,6 +168,7 @@ def test_a_verdict_that_is_not_sure_stands_before_what_it_pays(constant_force_di
     assert "Simulations fail with the gains tuned on nominal." in says
 
 
+@pytest.mark.long
 def test_the_diagnosis_is_there_whatever_fails_after_it(constant_force_diagnosis, command_for, monkeypatch, tmp_path):
     def fails(*_):
         raise RuntimeError("no drawing")
@@ -177,6 +181,7 @@ def test_the_diagnosis_is_there_whatever_fails_after_it(constant_force_diagnosis
     assert kept["next_experiment"]["says"].startswith("not looked for")
 
 
+@pytest.mark.long
 def test_a_tuning_that_is_interrupted_does_not_lose_the_diagnosis(
     constant_force_diagnosis, command_for, monkeypatch, tmp_path
 ):
@@ -190,6 +195,7 @@ def test_a_tuning_that_is_interrupted_does_not_lose_the_diagnosis(
     assert (tmp_path / "out" / "report.html").exists()
 
 
+@pytest.mark.long
 def test_the_recalibrated_parameters_are_told_with_their_intervals(constant_force_diagnosis, command_for):
     told, out = command_for(constant_force_diagnosis)
     rows = {one["parameter"]: one for one in told["recalibrated"]}
@@ -213,6 +219,7 @@ def test_the_recalibrated_parameters_are_told_with_their_intervals(constant_forc
     assert [float(one) for one in ends] == pytest.approx(mass["recalibrated_interval"], abs=0.051 * half)
 
 
+@pytest.mark.long
 def test_a_simulation_that_runs_away_is_told_with_its_reason(constant_force_diagnosis, command_for):
     away = LoopGap(np.inf, np.inf, np.inf, np.inf, "lap: the simulation in closed loop runs away")
     found = with_rung(constant_force_diagnosis, 0, loop=away)
@@ -224,6 +231,7 @@ def test_a_simulation_that_runs_away_is_told_with_its_reason(constant_force_diag
     assert len(_ladder(found).axes) == 3  # the others are drawn all the same
 
 
+@pytest.mark.long
 def test_a_force_that_a_lost_filter_saw_is_not_told(constant_force_diagnosis, command_for):
     """Neither of the nominal drive nor of the recalibrated one; with what was found the filter follows."""
     lost = [constant_force_diagnosis.rungs[k].force._replace(lost=0.9) for k in range(2)]
@@ -241,6 +249,7 @@ def test_a_force_that_a_lost_filter_saw_is_not_told(constant_force_diagnosis, co
     assert "<td>nominal</td><td>-</td><td>-</td><td>-</td>" in section(page, "1.")
 
 
+@pytest.mark.long
 def test_a_force_that_no_filter_could_tell_leaves_nothing_to_draw(constant_force_diagnosis, command_for):
     lost = constant_force_diagnosis
     for number, rung in enumerate(constant_force_diagnosis.rungs):
@@ -252,6 +261,7 @@ def test_a_force_that_no_filter_could_tell_leaves_nothing_to_draw(constant_force
     assert (out / "ladder.png").exists()
 
 
+@pytest.mark.long
 def test_what_is_no_finite_number_is_null(constant_force_diagnosis, command_for):
     """Of a filter that ran away, and of a parameter that the logs leave open."""
     away = constant_force_diagnosis.rungs[0].force._replace(
@@ -270,6 +280,7 @@ def test_what_is_no_finite_number_is_null(constant_force_diagnosis, command_for)
     assert told["causes"][0]["evidence"] is None  # nor is it another in Python
 
 
+@pytest.mark.long
 def test_without_a_controller_it_is_said_why_nothing_is_simulated(constant_force_diagnosis, command_for):
     found = dataclasses.replace(
         constant_force_diagnosis, rungs=[one._replace(loop=None) for one in constant_force_diagnosis.rungs]

@@ -57,6 +57,7 @@ def test_it_is_told_whatever_the_noise(name):
     assert sum(wrong > 1.5 * FOLLOWING for _, wrong in told) >= 4
 
 
+@pytest.mark.long
 def test_to_first_order_it_is_what_those_commands_explain(late):
     """Against the filter itself, run with the commands added to what acts on the table."""
     best = late[1].best
@@ -69,6 +70,7 @@ def test_to_first_order_it_is_what_those_commands_explain(late):
     assert np.linalg.norm(change - expected) < 0.05 * np.linalg.norm(expected)
 
 
+@pytest.mark.long
 def test_one_event_that_goes_wrong_is_no_answer_to_commands(late):
     """As much as a wrong actuator leaves all along, in one tenth of a second."""
     best = late[0].best
@@ -82,6 +84,7 @@ def test_one_event_that_goes_wrong_is_no_answer_to_commands(late):
     assert abs(told) < 3 * SINGLE < 0.1 * 30.0**2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("speed", "noise", "told"), [(1e-3, 3e-8, False), (1e-3, 3e-9, True), (4e-4, 3e-9, False), (0.1, 3e-8, True)]
 )

@@ -86,6 +86,7 @@ def test_a_tilt_is_named_measured_and_closes_the_gap_on_what_was_held_out(tilted
     assert excess[2] < 0.5 * excess[1] < 0.25 * excess[0]
 
 
+@pytest.mark.long
 def test_parameters_that_made_up_for_the_tilt_come_back(tilted):
     _, told = tilted
     rows = {row["parameter"]: row for row in told["recalibrated"]}
@@ -95,6 +96,7 @@ def test_parameters_that_made_up_for_the_tilt_come_back(tilted):
         assert rows[name]["with_effects"] == pytest.approx(true, rel=0.01)
 
 
+@pytest.mark.long
 def test_what_is_written_can_be_read(tilted):
     out, told = tilted
     assert json.loads((out / "diagnosis.json").read_text())["verdict"] == told["verdict"]
@@ -123,6 +125,7 @@ def test_an_effect_that_is_not_considered_is_not_named():
     assert found.verdict.says.endswith("not looked for: constant_force, friction_asymmetry, position_spring")
 
 
+@pytest.mark.long
 def test_parameters_come_with_intervals_that_hold_the_truth(tilted):
     _, told = tilted
     assert len(told["causes"]) > 1

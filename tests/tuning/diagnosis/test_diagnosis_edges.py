@@ -108,6 +108,7 @@ def test_probabilities_are_that_however_bad_all_are(gains):
     assert int(np.argmax(found)) == int(np.argmax(gains))
 
 
+@pytest.mark.long
 def test_a_longer_delay_than_the_effect_can_hold_never_loses_the_force():
     forces = tuple([100.0] * 8)
     for delay in (7.5, 8.0, 8.5, 20.0):
@@ -205,6 +206,7 @@ def test_a_log_with_the_servo_off_is_told_not_to_move(tmp_path):
     assert "travels 0 µm" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_where_the_drive_cannot_follow_its_log_no_force_is_told():
     """A position in mm, read as m: a filter that is lost at every sample would tell next to no force at all."""
     far = dataclasses.replace(SOUND, position=1e3 * SOUND.position, reference=1e3 * SOUND.reference)

@@ -93,6 +93,7 @@ def test_the_velocity_at_the_first_sample_is_that_of_a_motion_that_accelerates(r
     assert np.std(initial_velocity(position + noise, rate)) < 2e-4  # well within what the filter grants it
 
 
+@pytest.mark.long
 def test_a_filter_of_a_fast_axis_is_nowhere_lost():
     """Segments that began with the mean velocity of their first 5 ms were 40 mm/s off at 15 m/s^2, and stayed so."""
     axis = axis_of(mass=20.0, kp=8e5, kd=2_400.0)
@@ -190,6 +191,7 @@ def test_a_fast_log_is_thinned_and_its_delay_still_counted_in_control_periods():
     assert float(drive_of(fit, 0).effects[0].delay) == pytest.approx(value)
 
 
+@pytest.mark.long
 def test_a_lag_shorter_than_a_thinned_sample_is_measured():
     fast = axis_of(kp=4e6, kd=12_000.0, noise=4e-8, rate=10_000.0)
     slow = dataclasses.replace(fast, drive=dataclasses.replace(fast.drive, effects=(ActuatorLag(3e-4),)))

@@ -179,6 +179,7 @@ def test_what_binds_is_named_and_is_worth_what_is_said(usual):
     assert gained == pytest.approx(2.0 * worths["command noise"], rel=0.6, abs=0.3)
 
 
+@pytest.mark.long
 def test_what_cannot_be_kept_is_said_with_by_how_much():
     both = LoopLimits(phase=np.radians(80.0), gain_up=20.0, gain_down=20.0, command_noise=2.0)
     found = tuned(both, options=SearchOptions(starts=1, max_steps=8))
