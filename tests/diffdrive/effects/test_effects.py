@@ -161,6 +161,7 @@ WHOLE_DELAYS = [LoopDelay(delay) for delay in (0.0, 1.0, 2.0, 7.0)]
 WITHOUT_LIMIT = {("backlash", "gap")}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("effect", [*AT_DEFAULT, *WHOLE_DELAYS[1:]], ids=[*IDS, *(f"delay {k}" for k in (1, 2, 7))])
 def test_derivatives_at_the_default_are_those_of_differences_ahead(effect):
     """Where parameters are at the lower ends of their ranges, derivatives are those towards what the range allows."""

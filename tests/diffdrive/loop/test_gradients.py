@@ -149,6 +149,7 @@ def test_derivatives_by_every_parameter(name):
     assert (np.abs(reverse - forward) / scale).max() < 1e-9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [pytest.param(one, marks=[pytest.mark.slow] * (one == "PD+FC")) for one in CONTROLLERS]
 )

@@ -124,6 +124,7 @@ def error_in_the_loop(drive, speed, duration):
     return np.abs(np.asarray(ours) - exact).max()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("speed", [*(pytest.param(one, marks=pytest.mark.slow) for one in (2e-4, 0.01)), 0.2])
 def test_plant_in_the_loop_is_within_a_tenth_of_a_nanometre(drive, speed):
     assert error_in_the_loop(drive, speed, 0.5) <= 1e-10

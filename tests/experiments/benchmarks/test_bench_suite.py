@@ -92,6 +92,7 @@ def test_growth_is_told_and_drawn(tmp_path, monkeypatch):
     assert all(row[1] > 0.0 for row in rows + by)
 
 
+@pytest.mark.long
 def test_lanes_are_swept_in_both_precisions(tmp_path, monkeypatch):
     monkeypatch.setattr(hand_written, "SWEEP_LANES", 128)
     monkeypatch.setattr(hand_written, "OTHER_SWEEP_LANES", (64,))

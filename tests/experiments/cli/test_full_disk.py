@@ -159,6 +159,7 @@ def on_small_disks(ended, tmp_path, arguments, shares, monkeypatch):
     return left
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", LIGHT)
 def test_a_command_on_a_full_disk_leaves_whole_files(name, given, ended, tmp_path, monkeypatch):
     monkeypatch.chdir(given)

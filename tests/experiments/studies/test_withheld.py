@@ -240,6 +240,7 @@ def test_a_folder_without_machines_is_refused(tmp_path):
         study.check_given_machines(tmp_path / "out", tmp_path, tmp_path / "key.json")
 
 
+@pytest.mark.long
 def test_answers_of_other_sources_than_those_that_asked_are_refused(spy_folder):
     make_case(spy_folder / "cases" / "1")
     spy = spy_folder / "spy.py"

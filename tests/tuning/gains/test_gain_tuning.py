@@ -49,6 +49,7 @@ QUESTIONS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["PD", *(pytest.param(name, marks=pytest.mark.slow) for name in QUESTIONS)])
 def test_every_derivative_that_the_search_uses_is_that_of_differences(name):
     gains, problem, space = small_problem(objective=QUESTIONS.get(name, Objective()), name=name)

@@ -139,6 +139,7 @@ def test_a_log_with_one_encoder_is_refused_in_one_line():
     assert list(two_encoders(log.replace(motor_position=None), None)) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("cases", "least"), [(8, 6), pytest.param(60, 52, marks=pytest.mark.slow)])
 def test_intervals_hold_the_truth_as_often_as_they_say(cases, least):
     """At 95 % fewer than 52 of 60 are held once in 500 times, fewer than 6 of 8 once in 170."""
