@@ -62,8 +62,9 @@ class Requirements:
     hold in every scenario. A number is in N; `AsGiven(2.0)` is twice the largest noise of the gains as given, and for
     the load error twice theirs, scenario by scenario.
 
-    A controller without a load estimate keeps the defaults of `load_error` and `load_settling`; any other value of them
-    is refused, since nothing would check it.
+    A default that means nothing for an axis does not apply: what is asked of a load estimate where there is none, and
+    what is relative to gains with which the loop diverges. Any other value is refused there, since nothing would check
+    it.
 
     Raises:
         ParameterError: No loop can keep it, or it is no number.

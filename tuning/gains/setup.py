@@ -23,6 +23,7 @@ from tuning.optimisation.space import SearchSpace
 # where margins are looked at
 LOW_SPEEDS = (0.0, 1e-3, 3e-3)  # m/s
 SPEED_FACTORS = (1.0, 2.0)  # times the speed tuned at
+DIVERGES = "The loop diverges with the gains as given, and nothing is relative to that"
 
 
 class TuningSetup(NamedTuple):
@@ -94,25 +95,26 @@ def _limits(
     scenarios = training if is_relative else ()
     before = [run_scenario(axis.controller, scenario, axis.sampling, settle) for scenario in scenarios]
     notes: list[str] = []
+    if any(result.run.status.code == "diverged" for result in before):
+        _require_unstated(requirements)
+        noise, load_error = (None if isinstance(limit, AsGiven) else limit for limit in (noise, load_error))
+        notes.append(f"{DIVERGES}, so that the default limits of command noise and load error do not apply.")
     if isinstance(noise, AsGiven):
         factor, noise = noise.factor, noise.factor * max(result.command_noise for result in before)
-        _require_finite("command_noise", noise)
         notes.append(f"Command noise is limited to {factor:g} times that of the gains as given: {noise:.3g} N.")
     if not isinstance(load_error, AsGiven):
         return requirements.limits(noise, load_error), notes
     factor = load_error.factor
     errors = np.array([factor * result.load_error for result in before if result.load_error is not None])
-    _require_finite("load_error", errors)
     notes.append(f"The load error in each scenario is limited to {factor:g} times that of the gains as given.")
     return requirements.limits(noise, errors), notes
 
 
-def _require_finite(name: str, limit: float | np.ndarray) -> None:
-    if not np.all(np.isfinite(limit)):
-        raise ParameterError(
-            f"requirements: {name}: the loop diverges with the gains as given, and no limit is relative to that: state "
-            "it in N, or None for no limit"
-        )
+def _require_unstated(requirements: Requirements) -> None:
+    """Raise `ParameterError` for a limit that somebody wants relative to gains with which the loop diverges."""
+    for name in ("command_noise", "load_error"):
+        if isinstance(getattr(requirements, name), AsGiven) and requirements.states(name):
+            raise ParameterError(f"requirements: {name}: {DIVERGES}: state it in N, or None for no limit")
 
 
 def margin_speeds(plan: TuningPlan) -> tuple[float, ...]:

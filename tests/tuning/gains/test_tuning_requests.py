@@ -19,10 +19,17 @@ PLAN = TuningPlan(motion=LAP, loads=(0.0, 8_000.0), load_steps=2, machines=1, se
 NOISES, ERRORS = (2.0, 5.0, 3.0, 4.0), (10.0, 20.0, 30.0, 40.0)
 
 
+def judged(noise, error, code="ok"):
+    """What a run of a scenario leaves."""
+    return SimpleNamespace(
+        command_noise=noise, load_error=error, run=SimpleNamespace(status=SimpleNamespace(code=code))
+    )
+
+
 @pytest.fixture
 def axis(monkeypatch):
     """An axis that estimates the load; what its gains as given do in the scenarios is made up."""
-    levels = iter([SimpleNamespace(command_noise=n, load_error=e) for n, e in zip(NOISES, ERRORS, strict=True)])
+    levels = iter([judged(noise, error) for noise, error in zip(NOISES, ERRORS, strict=True)])
     monkeypatch.setattr(setup, "run_scenario", lambda *_: next(levels))
     return dd.paper_axis("pd+fc+ls")
 
@@ -46,9 +53,13 @@ def test_a_limit_in_newtons_is_that_limit_beside_one_relative_to_the_gains(axis)
 
 
 def test_nothing_is_relative_to_gains_with_which_the_loop_diverges(axis, monkeypatch):
-    monkeypatch.setattr(setup, "run_scenario", lambda *_: SimpleNamespace(command_noise=np.inf, load_error=1.0))
-    with pytest.raises(ParameterError, match=r"command_noise: the loop diverges with the gains as given.*or None"):
-        set_up(axis, PLAN)
+    monkeypatch.setattr(setup, "run_scenario", lambda *_: judged(1e47, 1e30, "diverged"))
+    found = set_up(axis, PLAN)
+    assert (found.limits.command_noise, found.limits.load_error) == (None, None)
+    assert "diverges with the gains as given" in found.notes[0]
+    assert set_up(axis, PLAN, tuning.Requirements(command_noise=20.0)).limits.command_noise == 20.0
+    with pytest.raises(ParameterError, match=r"command_noise: The loop diverges with the gains as given.*or None"):
+        set_up(axis, PLAN, tuning.Requirements(command_noise=tuning.AsGiven(1.0)))
 
 
 @pytest.mark.parametrize(
