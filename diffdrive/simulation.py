@@ -130,7 +130,7 @@ def rollout(
         reference=inputs.reference.position,
         load=inputs.load,
         measured=frames.measured,
-        table_position=frames.position,
+        table_position=frames.table_position,
         velocity=frames.velocity,
         command=frames.command,
         force=frames.force,

@@ -57,7 +57,7 @@ def running_costs(
         if ramp is not None:
             now = now._replace(load=now.load + ramp.at(sampling.period * state.count))
         state, frame = step(drive, controller, sampling, key, state, now)
-        error = now.reference.position - frame.position
+        error = now.reference.position - frame.table_position
         estimated_load = None if frame.estimate is None else frame.estimate.load
         counts_change = jnp.where(state.count > 1, count, 0.0)  # the first sample has no change of command
         # what does not count may be anything, infinite too

@@ -48,7 +48,7 @@ class Run(Result, Signals[np.ndarray]):
     @classmethod
     def from_frames(cls, motion: Motion, load: np.ndarray, frames: PyTree, every: int) -> "Run":
         """From the frames of a roll-out that recorded each `every`-th sample."""
-        count = len(frames.position)
+        count = len(frames.table_position)
         samples = slice(0, count * every, every)
         estimate = frames.estimate
         return cls(
@@ -57,7 +57,7 @@ class Run(Result, Signals[np.ndarray]):
             reference_velocity=motion.velocity[samples],
             load=load[samples],
             measured=np.asarray(frames.measured),
-            table_position=np.asarray(frames.position),
+            table_position=np.asarray(frames.table_position),
             velocity=np.asarray(frames.velocity),
             command=np.asarray(frames.command),
             force=np.asarray(frames.force),

@@ -34,7 +34,7 @@ class Inputs(NamedTuple):
 class Frame(NamedTuple):
     """The recorded signals of one control step: those at sample k, and the command issued at k."""
 
-    position: Scalar  # m, of the table
+    table_position: Scalar  # m, true
     velocity: Scalar  # m/s
     measured: Scalar  # m, as the scale reports it
     command: Scalar  # N, before the actuator
@@ -108,7 +108,7 @@ def step(
     moved, effect_states, machine = step_machine(drive, sampling, before, applied, inputs.disturbance, inputs.load)
     coefficients = lugre_coefficients(machine.friction, table.velocity, table.bristle, inputs.load)
     frame = Frame(
-        position=table.position,
+        table_position=table.position,
         velocity=table.velocity,
         measured=measured,
         command=command.force,

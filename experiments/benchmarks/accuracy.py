@@ -28,7 +28,7 @@ CASES = ((0.0002, 0.2), (0.010, 0.3), (0.200, 0.2))  # speed m/s, rounding of th
 @partial(jax.jit, static_argnums=2)
 def _positions(models: tuple[Drive, PD], inputs: Inputs, sampling: Sampling) -> Float[Array, " n"] | Scalar:
     drive, controller = models
-    return rollout_loop(drive, controller, inputs, sampling).position
+    return rollout_loop(drive, controller, inputs, sampling).table_position
 
 
 def integrator_errors() -> list[list[float]]:
@@ -61,7 +61,7 @@ def errors_of_random_drives() -> list[list[float]]:
 
     @partial(jax.jit, static_argnums=1)
     def positions(inputs: Inputs, sampling: Sampling) -> Float[Array, "drives n"] | Scalar:
-        return jax.vmap(lambda machine: rollout_loop(machine, control, inputs, sampling).position)(machines)
+        return jax.vmap(lambda machine: rollout_loop(machine, control, inputs, sampling).table_position)(machines)
 
     rows = []
     for rate in RATES:

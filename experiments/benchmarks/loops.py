@@ -192,7 +192,7 @@ def tuner(
 
     def residuals(theta: Float[Array, " k"], args: tuple[Drive, Array]) -> Float[Array, " n"]:
         machine, reference = args
-        return reference - rollout_loop(machine, tuned.controller_at(theta), inputs, sampling).position
+        return reference - rollout_loop(machine, tuned.controller_at(theta), inputs, sampling).table_position
 
     def value_and_jacobian(theta: Float[Array, " k"], args: tuple[Drive, Array]) -> tuple[Array, Array]:
         return jax.vmap(
@@ -231,7 +231,7 @@ def derivatives(drive: Drive, controller: Controller, inputs: Inputs, sampling: 
     machine, control, theta_0, controller_at = tuned.machine, tuned.control, tuned.theta, tuned.controller_at
 
     def residuals(theta: Float[Array, " k"]) -> Float[Array, " n"] | Scalar:
-        return inputs.reference.position - rollout_loop(machine, controller_at(theta), inputs, sampling).position
+        return inputs.reference.position - rollout_loop(machine, controller_at(theta), inputs, sampling).table_position
 
     def rms(theta: Float[Array, " k"], checkpoint_every: int = 1) -> Scalar:
         return rms_cost(machine, control, inputs, sampling, checkpoint_every)(

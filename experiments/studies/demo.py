@@ -39,7 +39,7 @@ def sensitivities(axis: Axis) -> list[tuple[str, float]]:
     def gradient(models: tuple[Drive, Controller]) -> tuple[Drive, Controller]:
         def rms(models: tuple[Drive, Controller]) -> Scalar:
             drive, controller = models
-            position = rollout_loop(drive, controller, inputs, axis.sampling).position
+            position = rollout_loop(drive, controller, inputs, axis.sampling).table_position
             return metrics.rms(jnp.asarray(inputs.reference.position) - position)
 
         return jax.grad(rms)(models)

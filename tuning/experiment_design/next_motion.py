@@ -187,7 +187,7 @@ def _candidate_information(
     stack = [loop_inputs(motion, load) for motion in motions]
     inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stack)
     frames = _simulated(*as_arrays((smooth(identified.drive), smooth(controller))), inputs, sampling)
-    position, command = jnp.asarray(frames.position), jnp.asarray(frames.command)
+    position, command = jnp.asarray(frames.table_position), jnp.asarray(frames.command)
     shape = position.shape
     lanes = Lanes(position, command, jnp.zeros(shape), jnp.zeros(shape), jnp.ones(shape), jnp.zeros(shape[0]))
     drive, unknowns = wide.residuals.unpack(jnp.asarray(wide.search.theta), wide.problem)

@@ -66,7 +66,7 @@ class Ensemble(eqx.Module):
             limit = force_limit(drive)
             command, load = jnp.asarray(frame.command), None if frame.estimate is None else frame.estimate.load
             return EnsembleSignals(
-                error=jnp.asarray(inputs.reference.position - frame.position)[late],
+                error=jnp.asarray(inputs.reference.position - frame.table_position)[late],
                 command_change=jnp.diff(command[before]) / np.sqrt(2.0),
                 force_excess=None if limit is None else jnp.maximum(jnp.abs(command[late]) - limit, 0.0),
                 load_error=None if load is None else jnp.asarray(load - inputs.load)[late],

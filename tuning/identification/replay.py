@@ -113,7 +113,7 @@ def replay(drive: Drive, controller: Controller, given: ReplayInputs, sampling: 
         inputs = Inputs(lane.reference, lane.lanes.load, lane.lanes.disturbance)
         begin = initial_loop_state(drive, controller, lane, sampling.period)
         frame = rollout_loop(drive, controller, inputs, sampling, begin=begin)
-        return ReplayOutput(jnp.asarray(frame.position), jnp.asarray(frame.command))
+        return ReplayOutput(jnp.asarray(frame.table_position), jnp.asarray(frame.command))
 
     return lax.map(replay_lane, given)
 

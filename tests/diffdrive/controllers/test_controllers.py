@@ -305,7 +305,7 @@ def test_lanes_over_load_mass_and_seed_equal_single_runs():
         inputs = loop_inputs(MOVE, np.zeros(N))
         inputs = inputs._replace(load=jnp.full(N, load))
         frame = rollout_loop(drive, controller, inputs, Sampling(), jax.random.key(seed))
-        return frame.position, frame.command
+        return frame.table_position, frame.command
 
     positions, commands = jax.jit(jax.vmap(lane))(loads, masses, seeds)
     for i in range(3):

@@ -121,7 +121,7 @@ def test_every_effect_of_the_catalogue_is_here():
 def test_at_its_neutral_value_an_effect_changes_nothing(name):
     ours, theirs = frames(with_effects(EFFECTS[name]())), frames(DRIVE)
     loose = 2e-9 if name in ("compliance", "backlash") else 1e-15  # their neutral value is a stiffness without end
-    np.testing.assert_allclose(ours.position, theirs.position, rtol=0, atol=loose)
+    np.testing.assert_allclose(ours.table_position, theirs.table_position, rtol=0, atol=loose)
 
 
 @pytest.mark.parametrize("effect", AT_WORK, ids=IDS)

@@ -77,7 +77,7 @@ def of_parameters(drive, controller):
     def error(logarithms, values, inputs):
         drive, controller = restore(values * jnp.exp(logarithms))
         frames = rollout_loop(drive, controller, inputs, Sampling(substeps=2), jax.random.key(0))
-        return metrics.rms(inputs.reference.position - frames.position)
+        return metrics.rms(inputs.reference.position - frames.table_position)
 
     return error, values
 
@@ -216,8 +216,8 @@ def by_the_gain(kept, every):
         frames = rollout_loop(
             drive, tuned, inputs, Sampling(substeps=1), jax.random.key(0), every, checkpoint_every=kept
         )
-        wanted = inputs.reference.position[: len(frames.position) * every : every]
-        return metrics.rms(wanted - frames.position)
+        wanted = inputs.reference.position[: len(frames.table_position) * every : every]
+        return metrics.rms(wanted - frames.table_position)
 
     return jax.jit(jax.value_and_grad(cost)).lower(jnp.asarray(PAPER_KP)).compile()
 

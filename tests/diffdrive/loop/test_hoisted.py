@@ -91,7 +91,7 @@ def test_many_imperfect_lanes_are_one_kernel():
     lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (LANES,)), controller)
 
     def roll(drive, controller, key, inputs):
-        return rollout_loop(drive, controller, inputs, Sampling(), key).position
+        return rollout_loop(drive, controller, inputs, Sampling(), key).table_position
 
     keys = jax.random.split(jax.random.key(0), LANES)
     assert is_hoisted(jax.vmap(roll, in_axes=(None, 0, 0, None)), drive, lanes, keys, inputs())
@@ -108,7 +108,7 @@ def test_the_guard_sees_a_loop_that_is_no_kernel():
     def solving(drive, controller, inputs):
         def body(state, at):
             state, frame = step(drive, controller, Sampling(), None, state, at)
-            return state, jnp.linalg.inv(jnp.eye(3) * (2.0 + frame.position))
+            return state, jnp.linalg.inv(jnp.eye(3) * (2.0 + frame.table_position))
 
         return lax.scan(body, initial_state(drive, controller, inputs.load[0]), inputs)[1]
 

@@ -170,7 +170,7 @@ def pushed_pd(velocity, load, seconds):
         reference = Reference(way + force / (factor * PAPER_KP), jnp.full(steps, velocity), jnp.zeros(steps))
         push = jnp.zeros(steps).at[0].set(1e-3)
         inputs = Inputs(reference, jnp.full(steps, load), push)
-        return rollout_loop(drive, controller, inputs, Sampling(), begin=begin).position - way
+        return rollout_loop(drive, controller, inputs, Sampling(), begin=begin).table_position - way
 
     return run
 

@@ -266,7 +266,7 @@ def test_a_motion_into_such_a_friction_is_refused_or_no_number(drive):
     with pytest.raises(ParameterError, match="it takes 180 % of the Coulomb friction off at some place"):
         simulate_loop(along, pd, reference)
     inputs = loop_inputs(reference, np.zeros(len(reference.time)))
-    position = np.asarray(rollout_loop(*as_arrays((along, pd)), inputs, Sampling()).position)
+    position = np.asarray(rollout_loop(*as_arrays((along, pd)), inputs, Sampling()).table_position)
     reached = np.isfinite(position)
     assert reached[0]
     assert not reached[-1]

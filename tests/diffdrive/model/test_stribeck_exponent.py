@@ -125,7 +125,7 @@ def test_the_error_of_a_whole_motion_by_the_exponent(exponent):
     @jax.jit
     def error(exponent):
         frames = rollout_loop(smooth(curved(exponent)), CONTROLLER, inputs, Sampling(), jax.random.key(0))
-        return metrics.rms(inputs.reference.position - frames.position)
+        return metrics.rms(inputs.reference.position - frames.table_position)
 
     h = 1e-4
     once, twice = (float(error(exponent + far) - error(exponent - far)) for far in (h, 2 * h))

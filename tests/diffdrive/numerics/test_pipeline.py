@@ -30,7 +30,9 @@ LATE = dataclasses.replace(DRIVE, actuator=Actuator(delay_samples=3))
 def test_a_long_pipeline_gives_the_numbers_of_a_short_one(controller, monkeypatch):
     def position():
         inputs = loop_inputs(MOVE, np.zeros(len(MOVE.time)))
-        return np.asarray(jax.jit(lambda: rollout_loop(*as_arrays((LATE, controller)), inputs, Sampling()).position)())
+        return np.asarray(
+            jax.jit(lambda: rollout_loop(*as_arrays((LATE, controller)), inputs, Sampling()).table_position)()
+        )
 
     short = position()
     monkeypatch.setattr(pipeline, "LONGEST_TUPLE", 0)

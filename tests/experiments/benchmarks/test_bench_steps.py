@@ -68,8 +68,8 @@ def test_a_hand_written_step_is_the_projects_own(hand_written, quantised):
     costs, position, both = hand_written(lane_parameters(machine, controller, 0.7), SCENARIO.load, paper.SAMPLING)
     # a quantised loop magnifies rounding: where two roll-outs fall to either side of half a quantum, they part
     until = 3_000 if quantised else len(position)
-    assert np.max(np.abs(position - np.asarray(frame.position))[:until]) < 1e-10
-    error = REFERENCE[0] - np.asarray(frame.position)
+    assert np.max(np.abs(position - np.asarray(frame.table_position))[:until]) < 1e-10
+    error = REFERENCE[0] - np.asarray(frame.table_position)
     load_error = np.asarray(frame.estimate.load) - 0.7 * SCENARIO.load
     expected = [np.sqrt(np.mean(error**2)), np.max(np.abs(error)), np.sqrt(np.mean(load_error**2))]
     assert costs == pytest.approx(expected, rel=0.02 if quantised else 1e-6)
