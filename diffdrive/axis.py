@@ -1,8 +1,7 @@
 """An axis: the machine, its controller, and how both are sampled, limited and logged."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from operator import attrgetter
 from pathlib import Path
 
 import equinox as eqx
@@ -17,7 +16,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling
-from diffdrive.model.quantity import Directional, is_number, parameter_value, quantities
+from diffdrive.model.quantity import Directional, is_number, node_at, parameter_value, quantities, with_nodes
 from diffdrive.motion.motion import Limits
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.messages import suggestion
@@ -56,19 +55,19 @@ class Axis(eqx.Module):
     @property
     def gains(self) -> dict[str, Scalar]:
         """The controller's gains by name, in SI units: those that `with_gains` takes, and that are tuned."""
-        return {name: attrgetter(tunable.path)(self.controller) for name, tunable in self.controller.tunables.items()}
+        return {name: node_at(self.controller, tunable.path) for name, tunable in self.controller.tunables.items()}
 
     def with_gains(self, **gains: Scalar) -> "Axis":
         """The axis with these gains, numbers, arrays or traced; raises `ParameterError` for an unknown one."""
-        tunables, controller = self.controller.tunables, self.controller
-        declared = {path: declaration for path, declaration, _ in quantities(controller)}
+        tunables = self.controller.tunables
+        declared = {path: declaration for path, declaration, _ in quantities(self.controller)}
+        values = {}
         for name, gain in gains.items():
             if name not in tunables:
                 raise ParameterError(f"{name}: {_unknown('gain', name, tunables)}")
             path = tunables[name].path
-            value = parameter_value(name, declared.get(path), gain)
-            controller = eqx.tree_at(attrgetter(path), controller, value, is_leaf=lambda leaf: leaf is None)
-        return replace(self, controller=controller)
+            values[path] = parameter_value(name, declared.get(path), gain)
+        return replace(self, controller=with_nodes(self.controller, values))
 
     @property
     def parameters(self) -> dict[str, PyTree]:
@@ -88,14 +87,12 @@ class Axis(eqx.Module):
         A parameter that may differ between the directions takes one number or a pair (positive, negative), an optional
         one None. Raises `ParameterError` for an unknown path, or what is no number.
         """
-        drive = self.drive
-        declared = {path: declaration for path, declaration, _ in quantities(drive)}
-        for path, value in values.items():
+        declared = {path: declaration for path, declaration, _ in quantities(self.drive)}
+        for path in values:
             if path not in declared:
                 raise ParameterError(f"{path}: {_unknown('parameter', path, declared)}")
-            new = parameter_value(path, declared[path], value)
-            drive = eqx.tree_at(_getter(drive, path), drive, new, is_leaf=lambda leaf: leaf is None)
-        return self.with_drive(drive)
+        new = {path: parameter_value(path, declared[path], value) for path, value in values.items()}
+        return self.with_drive(with_nodes(self.drive, new))
 
     def with_drive(self, drive: Drive) -> "Axis":
         """The axis with another machine, in its controller's model, too."""
@@ -168,15 +165,6 @@ def _formatted(value: PyTree) -> str:
     values = _number_or_pair(value) if isinstance(value, Directional) else (value,)
     texts = dict.fromkeys(f"{float(value):.6g}" if _is_concrete(value) else _described(value) for value in values)
     return " / ".join(texts)
-
-
-def _getter(drive: Drive, path: str) -> Callable[[Drive], PyTree]:
-    """A function that returns the parameter at `path` of a drive."""
-    part, *rest = path.split(".")
-    if part != "effects":
-        return attrgetter(path)
-    index = next(k for k, effect in enumerate(drive.effects) if effect.name == rest[0])
-    return lambda d: getattr(d.effects[index], rest[1])
 
 
 def _unknown(what: str, name: str, known: Mapping[str, object]) -> str:

@@ -4,8 +4,8 @@ The drive-file reader, the range checks and the reference table in the documenta
 """
 
 import dataclasses
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -18,6 +18,8 @@ from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.messages import short_repr
 from diffdrive.support.typing import TomlTable
 from diffdrive.support.units import in_unit
+
+Parameters = TypeVar("Parameters", bound=eqx.Module)
 
 
 class Quantity(NamedTuple):
@@ -159,6 +161,24 @@ def quantities(module: eqx.Module, path: str = "") -> Iterator[tuple[str, Quanti
             for item in value:
                 if isinstance(item, eqx.Module):
                     yield from quantities(item, f"{name}.{getattr(item, 'name', type(item).__name__)}")
+
+
+def node_at(module: eqx.Module, path: str) -> PyTree:
+    """What stands at a dotted path, as `quantities` has it: an effect by its name, a side of a pair by its field."""
+    node: PyTree = module
+    for part in path.split("."):
+        node = next(item for item in node if item.name == part) if isinstance(node, tuple) else getattr(node, part)
+    return node
+
+
+def with_nodes(module: Parameters, values: Mapping[str, PyTree]) -> Parameters:
+    """The same module with other values at these dotted paths."""
+    return eqx.tree_at(
+        lambda tree: [node_at(tree, path) for path in values],
+        module,
+        list(values.values()),
+        is_leaf=lambda leaf: leaf is None,
+    )
 
 
 def _by_direction(value: object) -> Iterator[tuple[str, object]]:

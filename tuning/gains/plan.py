@@ -1,12 +1,10 @@
 """What a drive is tuned on and what it is verified on: motions, loads, machines and noise, none of them in both."""
 
 from dataclasses import dataclass
-from operator import attrgetter
 
-import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float, PyTree
+from jaxtyping import Float
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
@@ -15,7 +13,7 @@ from diffdrive.loop import metrics
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Drive, Sampling
-from diffdrive.model.quantity import quantities
+from diffdrive.model.quantity import quantities, with_nodes
 from diffdrive.motion import load
 from diffdrive.motion.builders import triangular
 from diffdrive.motion.load import validated_load
@@ -107,17 +105,12 @@ def perturbed(drive: Drive, spread: float, rng: np.random.Generator) -> Drive:
     Log-normal, so that no parameter changes sign.
     """
     machine = as_arrays(drive)
-    declared = quantities(machine)
-    names = [name for name, _, value in declared if name.startswith(("plant.", "friction.")) and value is not None]
-
-    def parts(tree: Drive) -> list[PyTree]:
-        return [attrgetter(name)(tree) for name in names]
-
-    return eqx.tree_at(
-        parts,
-        machine,
-        [jax.tree.map(lambda x: x * np.exp(spread * rng.standard_normal()), part) for part in parts(machine)],
-    )
+    values = {
+        name: jax.tree.map(lambda x: x * np.exp(spread * rng.standard_normal()), value)
+        for name, _, value in quantities(machine)
+        if name.startswith(("plant.", "friction.")) and value is not None
+    }
+    return with_nodes(machine, values)
 
 
 def machines(drive: Drive, count: int, spread: float, seed: int) -> list[Drive]:

@@ -7,13 +7,12 @@ the sum acts. So a drive becomes `Unknowns`, these are fitted, and they become a
 
 import dataclasses
 from collections.abc import Callable
-from operator import attrgetter
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from diffdrive.model.parameters import Drive, Plant
-from diffdrive.model.quantity import Directional, quantity
+from diffdrive.model.quantity import Directional, node_at, quantity, with_nodes
 from diffdrive.numerics.arrays import Scalar
 from tuning.identification.prediction import MAX_DELAY, MIN_DELAY
 from tuning.optimisation.space import FreeParameter
@@ -133,12 +132,11 @@ def default_bounds(path: str, start: float, friction: float) -> FreeParameter:
 
 def value_at(unknowns: Unknowns, path: str) -> float:
     """The value at `path`; of a pair that is the same in both directions, that one."""
-    node = attrgetter(path)(unknowns)
+    node = node_at(unknowns, path)
     return float(node.positive if isinstance(node, Directional) else node)
 
 
 def with_value(unknowns: Unknowns, path: str, value: float) -> Unknowns:
     """The unknowns with `value` at `path`, in both directions where the path names a pair."""
-    node = attrgetter(path)(unknowns)
-    new = Directional(value, value) if isinstance(node, Directional) else value
-    return eqx.tree_at(attrgetter(path), unknowns, new)
+    is_pair = isinstance(node_at(unknowns, path), Directional)
+    return with_nodes(unknowns, {path: Directional(value, value) if is_pair else value})

@@ -1,7 +1,6 @@
 """Which parameters are free, and within which bounds: a search space beside the parameter tree, not inside it."""
 
 from collections.abc import Sequence
-from operator import attrgetter
 from typing import NamedTuple, TypeVar
 
 import equinox as eqx
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.errors import ParameterError
-from diffdrive.model.quantity import Directional, quantities
+from diffdrive.model.quantity import Directional, node_at, quantities, with_nodes
 
 Model = TypeVar("Model")
 
@@ -61,12 +60,11 @@ class SearchSpace(NamedTuple):
     def insert(self, model: Model, theta: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Model:
         """The model with its free parameters at `theta`."""
         values = self.values(theta)
-        nodes = [attrgetter(parameter.path)(model) for parameter in self.free]
-        new = [
-            Directional(values[k], values[k]) if isinstance(node, Directional) else values[k]
-            for k, node in enumerate(nodes)
-        ]
-        return eqx.tree_at(lambda m: [attrgetter(parameter.path)(m) for parameter in self.free], model, new)
+        new = {}
+        for k, (path, *_) in enumerate(self.free):
+            is_pair = isinstance(node_at(model, path), Directional)
+            new[path] = Directional(values[k], values[k]) if is_pair else values[k]
+        return with_nodes(model, new)
 
     def near_bound(self, theta: Float[np.ndarray, " k"], within: float = 0.01) -> list[str]:
         """Paths of the parameters that ended within 1 % of their range from a bound."""
@@ -80,7 +78,7 @@ def _short(path: str) -> str:
 
 
 def _value(model: object, path: str) -> float:
-    node = attrgetter(path)(model)
+    node = node_at(model, path)
     if not isinstance(node, Directional):
         return float(node)
     if float(node.positive) != float(node.negative):

@@ -1,34 +1,20 @@
 """From shares of the probability to machines side by side."""
 
-import functools
 from collections.abc import Sequence
 from types import EllipsisType
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from diffdrive.model.parameters import Drive, check_drive
-from diffdrive.model.quantity import Directional
+from diffdrive.model.quantity import Directional, node_at, with_nodes
 from diffdrive.motion.load import Ramp
 from diffdrive.numerics.arrays import as_arrays
 from tuning.sweeps.varied import LOAD, VariedQuantity, with_effects
 
 Values = dict[str, Float[np.ndarray, " n"]]
-
-
-def _node_at(drive: Drive, name: str) -> PyTree:
-    """The number or pair of that name."""
-    node: PyTree = drive
-    for part in name.split("."):
-        node = (
-            next(part_of for part_of in node if part_of.name == part)
-            if isinstance(node, tuple)
-            else getattr(node, part)
-        )
-    return node
 
 
 def _varied_value(value: PyTree, quantity: VariedQuantity, drawn: Float[np.ndarray, " n"]) -> Array | Directional:
@@ -55,9 +41,8 @@ def machines(
         if quantity.name in LOAD:
             ends[quantity.name] = values[quantity.name] = drawn
             continue
-        varied_value = _varied_value(_node_at(machine, quantity.name), quantity, drawn)
-        node = functools.partial(_node_at, name=quantity.name)
-        machine = eqx.tree_at(node, machine, varied_value, is_leaf=lambda leaf: leaf is None)
+        varied_value = _varied_value(node_at(machine, quantity.name), quantity, drawn)
+        machine = with_nodes(machine, {quantity.name: varied_value})
         values[quantity.name] = np.asarray(
             varied_value.positive if isinstance(varied_value, Directional) else varied_value
         )
