@@ -51,17 +51,15 @@ def require_feasible(drive: Drive, envelope: Envelope) -> None:
 def _infeasibility(drive: Drive, load: float) -> str | None:
     """Why no machine has these parameters under `load` (N) on the guides; None where one may."""
     plant, friction = drive.plant, drive.friction
+    levels, breakaways, drags = friction.coulomb_at(load), friction.breakaway_at(load), friction.viscous + plant.damping
     if not np.all(np.asarray(plant.mass) > 0.0):
         return f"the moving mass is {_lowest(plant.mass):g} kg: it must stay above 0"
     for side in ("positive", "negative"):
-        guide = getattr(friction.load_coefficient, side) * (friction.initial_load + load)
-        level = getattr(friction.coulomb_screw, side) + guide
+        level, breakaway, drag = (getattr(pair, side) for pair in (levels, breakaways, drags))
         if not np.all(np.asarray(level) > 0.0):
             return f"the Coulomb friction in the {side} direction is {_lowest(level):g} N: it must stay above 0"
-        breakaway = level + getattr(friction.breakaway_gap, side)
         if not np.all(np.asarray(breakaway) > 0.0):
             return f"the breakaway friction in the {side} direction is {_lowest(breakaway):g} N: it must stay above 0"
-        drag = getattr(friction.viscous, side) + getattr(plant.damping, side)
         if not np.all(np.asarray(drag) >= 0.0):
             return (
                 f"viscous friction and damping in the {side} direction are {_lowest(drag):g} N s/m: they must not "

@@ -46,11 +46,8 @@ class AppliedLoad(StaticTableEffect):
                 f"a load of {np.min(least):g} N lifts the table off its guides, which initial_load and the load press "
                 f"with {np.min(drive.friction.initial_load + envelope.load):g} N"
             )
-        levels = [
-            getattr(drive.friction.coulomb_screw, side) + getattr(drive.friction.load_coefficient, side) * normal_force
-            for side in ("positive", "negative")
-        ]
-        if any(np.any(np.asarray(level) <= 0.0) for level in levels):
+        level = drive.friction.coulomb_at(envelope.load + least)
+        if np.any(np.minimum(level.positive, level.negative) <= 0.0):
             return f"a load of {np.min(least):g} N leaves no Coulomb friction: it must stay above 0"
         return None
 
@@ -150,10 +147,11 @@ class FrictionDwell(TableEffect):
         """Breakaway that is gone once the table has rested."""
         max_age = np.asarray(self.rested) + (envelope.duration or 0.0)
         growth = 1.0 + np.asarray(self.growth) * np.log1p(max_age / np.asarray(self.onset))
+        breakaways = drive.friction.coulomb_at(envelope.load) + drive.friction.breakaway_gap.map(
+            lambda gap: gap * growth
+        )
         for side in ("positive", "negative"):
-            guide = getattr(drive.friction.load_coefficient, side) * (drive.friction.initial_load + envelope.load)
-            gap = getattr(drive.friction.breakaway_gap, side)
-            breakaway = getattr(drive.friction.coulomb_screw, side) + guide + gap * growth
+            breakaway = getattr(breakaways, side)
             if not np.all(np.asarray(breakaway) > 0.0):
                 return (
                     f"the breakaway friction in the {side} direction falls to {np.min(breakaway):g} N at rest: it must "
@@ -199,8 +197,7 @@ class PreslidingHysteresis(TableEffect):
         )
         for side in ("positive", "negative"):
             stiffness = getattr(drive.friction.bristle_stiffness, side)
-            guide = getattr(drive.friction.load_coefficient, side) * (drive.friction.initial_load + envelope.load)
-            element_stiffness = (getattr(drive.friction.coulomb_screw, side) + guide) * mean_inverse_slip
+            element_stiffness = getattr(drive.friction.coulomb_at(envelope.load), side) * mean_inverse_slip
             total = (1.0 - np.asarray(self.share)) * stiffness + self.share * element_stiffness
             if not np.all(total > 0.0):
                 return f"the stiffness before sliding becomes {np.min(total):.3g} N/m: it must stay above 0"

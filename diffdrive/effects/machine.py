@@ -14,11 +14,7 @@ from diffdrive.numerics.arrays import Scalar
 
 def _scaled(pair: Directional, logarithm: Scalar) -> Directional:
     factor = jnp.exp(logarithm)
-    return Directional(pair.positive * factor, pair.negative * factor)
-
-
-def _shifted(pair: Directional, offset: Scalar) -> Directional:
-    return Directional(pair.positive + offset, pair.negative + offset)
+    return pair.map(lambda value: value * factor)
 
 
 class PayloadMass(MachineEffect):
@@ -73,10 +69,10 @@ class FrictionShape(MachineEffect, StaticTableEffect):
             friction=dataclasses.replace(
                 friction,
                 stribeck_exponent=exponent,
-                coulomb_screw=_shifted(friction.coulomb_screw, self.coulomb),
+                coulomb_screw=friction.coulomb_screw + self.coulomb,
                 stribeck_velocity=_scaled(friction.stribeck_velocity, self.stribeck_velocity),
                 breakaway_gap=_scaled(friction.breakaway_gap, self.breakaway_gap),
-                viscous=_shifted(friction.viscous, self.viscous),
+                viscous=friction.viscous + self.viscous,
             ),
         )
 

@@ -18,7 +18,6 @@ from diffdrive.effects.base import (
 )
 from diffdrive.model.friction import friction_force, lugre_coefficients
 from diffdrive.model.parameters import Drive, Sampling
-from diffdrive.model.quantity import Directional
 from diffdrive.numerics.arrays import Scalar
 
 Effects = tuple[Effect, ...]
@@ -118,18 +117,14 @@ def scale_error(effects: Effects, position: Scalar) -> Scalar:
 
 def with_friction_offset(drive: Drive, acts: PyTree) -> Drive:
     """The drive with the friction that the effects add."""
-
-    def shifted(pair: Directional, offset: Scalar) -> Directional:
-        return Directional(pair.positive + offset, pair.negative + offset)
-
     friction = drive.friction
     return dataclasses.replace(
         drive,
         friction=dataclasses.replace(
             friction,
-            coulomb_screw=shifted(friction.coulomb_screw, acts.coulomb),
-            breakaway_gap=shifted(friction.breakaway_gap, acts.gap),
-            viscous=shifted(friction.viscous, acts.viscous),
+            coulomb_screw=friction.coulomb_screw + acts.coulomb,
+            breakaway_gap=friction.breakaway_gap + acts.gap,
+            viscous=friction.viscous + acts.viscous,
         ),
     )
 

@@ -35,8 +35,7 @@ class LuGreCoefficients(NamedTuple):
 
 def coulomb(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
     """Coulomb friction F_C, N, in the direction of `velocity` under the applied load (eq. (6))."""
-    guide = friction.load_coefficient.towards(velocity)
-    return friction.coulomb_screw.towards(velocity) + guide * (friction.initial_load + load)
+    return friction.coulomb_at(load).towards(velocity)
 
 
 def stribeck_level(friction: Friction, velocity: Scalar, load: Scalar) -> Scalar:
@@ -83,10 +82,11 @@ class LoadedFriction(NamedTuple):
     def levels(self, velocity: Scalar) -> Directional:
         """Friction level g, N, at this speed in either direction."""
         speed = jnp.abs(velocity)
-        return Directional(
-            self.coulomb.positive + self.gap.positive * self.remaining_gap(speed * self.halvings.positive),
-            self.coulomb.negative + self.gap.negative * self.remaining_gap(speed * self.halvings.negative),
-        )
+
+        def level(coulomb: Scalar, gap: Scalar, halvings: Scalar) -> Scalar:
+            return coulomb + gap * self.remaining_gap(speed * halvings)
+
+        return self.coulomb.map(level, self.gap, self.halvings)
 
     def remaining_gap(self, speeds: Scalar) -> Scalar:
         """The share of the gap that is left at a speed times `halvings`."""
@@ -95,18 +95,12 @@ class LoadedFriction(NamedTuple):
 
 def friction_under_load(friction: Friction, load: Scalar) -> LoadedFriction:
     """The friction under an applied load (N)."""
-    normal_force = friction.initial_load + load
-
-    def coulomb_of(screw: Scalar, guide: Scalar) -> Scalar:
-        return screw + guide * normal_force
-
-    screw, guide, stribeck_velocity = friction.coulomb_screw, friction.load_coefficient, friction.stribeck_velocity
     exponent = friction.stribeck_exponent
     per_velocity = LOG2_E if exponent is None else 1.0
     return LoadedFriction(
-        Directional(coulomb_of(screw.positive, guide.positive), coulomb_of(screw.negative, guide.negative)),
+        friction.coulomb_at(load),
         friction.breakaway_gap,
-        Directional(per_velocity / stribeck_velocity.positive, per_velocity / stribeck_velocity.negative),
+        friction.stribeck_velocity.map(lambda velocity: per_velocity / velocity),
         friction.bristle_stiffness,
         friction.bristle_damping,
         friction.viscous,

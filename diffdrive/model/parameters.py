@@ -59,6 +59,15 @@ class Friction(eqx.Module):
         """The exponent of the Stribeck curve; the paper's is 1."""
         return 1.0 if self.stribeck_exponent is None else self.stribeck_exponent
 
+    def coulomb_at(self, load: Scalar) -> Directional:
+        """Coulomb friction F_C (N) in each direction under an applied load (N; eq. (6))."""
+        normal_force = self.initial_load + load
+        return self.coulomb_screw + self.load_coefficient.map(lambda coefficient: coefficient * normal_force)
+
+    def breakaway_at(self, load: Scalar) -> Directional:
+        """Breakaway friction F_S (N) in each direction under an applied load (N)."""
+        return self.coulomb_at(load) + self.breakaway_gap
+
 
 class Actuator(eqx.Module):
     """Force limit and delay between the command and the force on the table.
@@ -199,10 +208,10 @@ def check_drive(drive: Drive) -> None:
             f"actuator.limit_rounding of {np.min(width):g} N is lost in the rounding of the force limit of "
             f"{np.max(limit):g} N: check the units of both, or leave out limit_rounding"
         )
-    friction = drive.friction
     for side in ("positive", "negative"):
-        level = getattr(friction.coulomb_screw, side) + getattr(friction.load_coefficient, side) * friction.initial_load
-        breakaway = level + getattr(friction.breakaway_gap, side)
+        level, breakaway = (
+            getattr(pair(0.0), side) for pair in (drive.friction.coulomb_at, drive.friction.breakaway_at)
+        )
         if not isinstance(level, jax.core.Tracer) and not np.all(np.asarray(level) > 0):
             raise ParameterError(
                 f"friction: the Coulomb friction in the {side} direction is zero (coulomb_screw + load_coefficient * "

@@ -4,7 +4,7 @@ The drive-file reader, the range checks and the reference table in the documenta
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -66,6 +66,16 @@ class Directional(eqx.Module):
     def towards(self, signal: Scalar) -> Scalar:
         """The value for the direction in which `signal` (a velocity, a bristle deflection) points; 0 counts as +."""
         return jnp.where(signal >= 0, self.positive, self.negative)
+
+    def map(self, function: Callable[..., Scalar], *others: "Directional") -> "Directional":
+        """The function of this and other parameters in each direction."""
+        positive = function(self.positive, *(other.positive for other in others))
+        return Directional(positive, function(self.negative, *(other.negative for other in others)))
+
+    def __add__(self, other: "Directional | Scalar") -> "Directional":
+        """The sum in each direction, with a pair or with one number for both."""
+        positive, negative = (other.positive, other.negative) if isinstance(other, Directional) else (other, other)
+        return Directional(self.positive + positive, self.negative + negative)
 
 
 def directional(value: object) -> Directional | None:

@@ -143,14 +143,9 @@ def require_resolved_friction(drive: Drive, max_load: Scalar, max_speed: float, 
     rounding error of eps F, which in a substep h is a velocity of eps F h / M.
     """
     friction = drive.friction
-    forces = [
-        getattr(friction.coulomb_screw, side)
-        + getattr(friction.load_coefficient, side) * (friction.initial_load + max_load)
-        + np.maximum(getattr(friction.breakaway_gap, side), 0.0)
-        for side in ("positive", "negative")
-    ]
+    forces = friction.coulomb_at(max_load) + friction.breakaway_gap.map(lambda gap: np.maximum(gap, 0.0))
     step = sampling.period / sampling.plant_steps
-    for force in forces:
+    for force in (forces.positive, forces.negative):
         rounding = np.max(np.finfo(float).eps * step * np.asarray(force) / np.asarray(drive.plant.mass))
         if max_speed > 0.0 and rounding > max_speed:
             raise MotionError(

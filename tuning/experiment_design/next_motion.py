@@ -55,8 +55,7 @@ def candidates(drive: Drive, limits: Limits, rate: float, about: float = 0.0) ->
     Those that the axis cannot do are left out.
     """
     friction = drive.friction
-    level = float(friction.coulomb_screw.positive + friction.load_coefficient.positive * friction.initial_load)
-    bend = (level + float(friction.breakaway_gap.positive)) / float(friction.bristle_stiffness.positive)
+    bend = float(friction.breakaway_at(0.0).positive) / float(friction.bristle_stiffness.positive)
     slow = float(friction.stribeck_velocity.positive)
     fast = min(SPEED, 0.8 * limits.speed)
     strong = min(ACCELERATION, 0.8 * limits.acceleration)

@@ -85,9 +85,7 @@ def run_filter(
 
     def filter_lane(lane: Lanes) -> tuple[FilterGains, Array]:
         begin = initial_state(drive, lane)
-        level = drive.friction.coulomb_screw.positive + drive.friction.load_coefficient.positive * (
-            drive.friction.initial_load + lane.load[0]
-        )
+        level = drive.friction.coulomb_at(lane.load[0]).positive
         bristle_std = 0.5 * level / drive.friction.bristle_stiffness.positive  # of its deflection at the start
         spread = diagonal((measured_variance, jnp.asarray(INITIAL_VELOCITY_STD) ** 2, bristle_std**2))
         force = applied_force(drive, lane, delay)

@@ -6,7 +6,6 @@ the sum acts. So a drive becomes `Unknowns`, these are fitted, and they become a
 """
 
 import dataclasses
-from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -37,30 +36,25 @@ class Unknowns(eqx.Module):
     def drive(self, believed: Drive) -> Drive:
         """`believed` with these parameters in place of its own; its delay excepted (see `with_delay`)."""
         friction, damping = believed.friction, believed.plant.damping
-
-        def each(function: Callable[..., Scalar], *pairs: Directional) -> Directional:
-            positive = function(*(pair.positive for pair in pairs))
-            return Directional(positive, function(*(pair.negative for pair in pairs)))
-
         gap = friction.breakaway_gap
         if self.breakaway is not None:
-            gap = each(lambda level, ratio: level * (ratio - 1.0), self.coulomb, self.breakaway)
+            gap = self.coulomb.map(lambda level, ratio: level * (ratio - 1.0), self.breakaway)
         return dataclasses.replace(
             believed,
             plant=Plant(
                 mass=self.mass,
-                damping=each(jnp.minimum, damping, self.viscous),
+                damping=damping.map(jnp.minimum, self.viscous),
                 constant_force=self.constant_force,
             ),
             friction=dataclasses.replace(
                 friction,
-                coulomb_screw=each(
-                    lambda level, slope: level - slope * friction.initial_load, self.coulomb, self.load_coefficient
+                coulomb_screw=self.coulomb.map(
+                    lambda level, slope: level - slope * friction.initial_load, self.load_coefficient
                 ),
                 load_coefficient=self.load_coefficient,
                 breakaway_gap=gap,
                 stribeck_velocity=self.stribeck_velocity,
-                viscous=each(lambda both, known: jnp.maximum(both - known, 0.0), self.viscous, damping),
+                viscous=self.viscous.map(lambda both, known: jnp.maximum(both - known, 0.0), damping),
                 bristle_stiffness=self.bristle_stiffness,
                 bristle_damping=self.bristle_damping,
             ),
@@ -80,24 +74,15 @@ MAX_FACTOR = 30.0  # factor by which a parameter may move from its start, either
 def unknowns_of(drive: Drive, delay: float) -> Unknowns:
     """The unknowns at the values of `drive`, and a delay (control periods)."""
     plant, friction = drive.plant, drive.friction
-
-    def each(function: Callable[..., float], *pairs: Directional) -> Directional:
-        positive = function(*(float(pair.positive) for pair in pairs))
-        return Directional(positive, function(*(float(pair.negative) for pair in pairs)))
-
-    level = each(
-        lambda screw, slope: screw + slope * float(friction.initial_load),
-        friction.coulomb_screw,
-        friction.load_coefficient,
-    )
+    level = friction.coulomb_at(0.0).map(float)
     return Unknowns(
         mass=float(plant.mass),
         constant_force=float(plant.constant_force),
         coulomb=level,
         load_coefficient=friction.load_coefficient,
-        breakaway=each(lambda screw, gap: (screw + gap) / screw, level, friction.breakaway_gap),
+        breakaway=level.map(lambda coulomb, gap: (coulomb + float(gap)) / coulomb, friction.breakaway_gap),
         stribeck_velocity=friction.stribeck_velocity,
-        viscous=each(lambda b, mu: b + mu, plant.damping, friction.viscous),
+        viscous=(plant.damping + friction.viscous).map(float),
         bristle_stiffness=friction.bristle_stiffness,
         bristle_damping=friction.bristle_damping,
         delay=float(delay),

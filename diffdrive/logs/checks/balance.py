@@ -250,12 +250,8 @@ def _constant_force(dynamics: DynamicsFit, axis: Axis) -> Finding:
 
 def nominal_friction(axis: Axis) -> tuple[float, float]:
     """Coulomb friction (N) of the drive file without an applied load, forwards and backwards."""
-    friction = axis.drive.friction
-    screw, guide, initial_load = friction.coulomb_screw, friction.load_coefficient, float(friction.initial_load)
-    return (
-        float(screw.positive) + float(guide.positive) * initial_load,
-        float(screw.negative) + float(guide.negative) * initial_load,
-    )
+    level = axis.drive.friction.coulomb_at(0.0)
+    return float(level.positive), float(level.negative)
 
 
 def _value_text(label: str, estimate: DynamicsEstimate, nominal: float, unit: str) -> str:

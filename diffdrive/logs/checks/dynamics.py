@@ -160,8 +160,8 @@ def _regressors(acceleration: Signal, speed: Signal, drive: Drive | None, load: 
     stribeck_velocity = np.maximum(by_direction(friction.stribeck_velocity), 1e-12)
     exponent = friction.stribeck_exponent
     stribeck = np.exp(-((np.abs(speed) / stribeck_velocity) ** (1.0 if exponent is None else float(exponent))))
-    guide_load = float(friction.initial_load) + load
-    coulomb = by_direction(friction.coulomb_screw) + by_direction(friction.load_coefficient) * guide_load
+    level = friction.coulomb_at(load)
+    coulomb = np.where(speed > 0, level.positive, level.negative)
     dry = (coulomb + by_direction(friction.breakaway_gap) * stribeck) * direction
     drag = (by_direction(drive.plant.damping) + by_direction(friction.viscous)) * speed
     return float(drive.plant.mass) * acceleration, dry, drag

@@ -29,3 +29,15 @@ def test_a_search_may_free_a_parameter_of_an_effect():
     there = space.insert(DRIVE, jnp.zeros(2))
     assert float(node_at(there, "effects.cogging.cosine")) == pytest.approx(2.0)
     assert float(there.plant.mass) == pytest.approx(100.0)
+
+
+def test_friction_under_a_load_is_that_of_eq_6_in_each_direction():
+    friction = DRIVE.friction
+    level, breakaway = friction.coulomb_at(8_000.0), friction.breakaway_at(8_000.0)
+    assert level == Directional(63.43 + 3.66e-4 * 23_200.0, 64.95 + 3.66e-4 * 23_200.0)
+    assert (
+        breakaway
+        == level.map(lambda coulomb, gap: coulomb + gap, friction.breakaway_gap)
+        == level + friction.breakaway_gap
+    )
+    assert Directional(1.0, 2.0) + 3.0 == Directional(4.0, 5.0)
