@@ -34,8 +34,6 @@ from diffdrive.support.text_file import read_toml
 from diffdrive.support.typing import TomlTable
 from diffdrive.support.units import in_unit, to_si
 
-# pint alone reads "kg" as 1 kg, "100,5 kg" as 1005 kg and "100 200 kg" as 20000 kg
-
 
 class TomlSection:
     """One table of a drive file; takes keys out one by one and raises for those that are left."""

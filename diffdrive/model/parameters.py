@@ -86,7 +86,11 @@ class Actuator(eqx.Module):
     )
     delay_samples: int = eqx.field(static=True, default=0)
     delay_fraction: Scalar | None = quantity(
-        "1", "further delay as a share of the control period, 0 to 1", at_least=0.0, default=None
+        "1",
+        "further delay as a share of the control period; whole periods belong into delay_samples",
+        at_least=0.0,
+        at_most=1.0,
+        default=None,
     )
 
     @property
@@ -190,11 +194,6 @@ def check_drive(drive: Drive) -> None:
     if not isinstance(delay, int) or delay < 0:
         raise ParameterError(
             f"actuator.delay_samples must be a whole number of samples, 0 or more, got {short_repr(delay)}"
-        )
-    fraction = drive.actuator.delay_fraction
-    if fraction is not None and not isinstance(fraction, jax.core.Tracer) and not np.all(np.asarray(fraction) <= 1):
-        raise ParameterError(
-            f"actuator.delay_fraction must be at most 1, got {fraction!r}: whole periods belong into delay_samples"
         )
     limit, width = drive.actuator.force_limit, drive.actuator.limit_rounding
     # the rounded limit is a difference of numbers as large as the limit

@@ -10,6 +10,7 @@ from diffdrive.support.messages import shortened
 if TYPE_CHECKING:
     import pint
 
+# pint alone reads "kg" as 1 kg, "100,5 kg" as 1005 kg and "100 200 kg" as 20000 kg
 _NUMBER_AND_UNIT = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*(?P<unit>|(?!.*\s\d)[^\d\s.,*+-][^,]*)")
 # an M for an m; nobody writes a million of these so
 _SLIPS = {"megameter": ("Mm", "mm", "1000 km"), "megasecond": ("Ms", "ms", "1e6 s"), "megagram": ("Mg", "mg", "1 t")}
