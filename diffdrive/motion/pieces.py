@@ -108,10 +108,10 @@ def jerk_stroke_pieces(distance: float, speed: float, acceleration: float, jerk:
 
     peak = speed
     if ramp_distance(speed) > distance:  # the speed is not reached: find the one that just fits
-        low, high = 0.0, speed
-        for _ in range(200):
-            peak = (low + high) / 2
-            low, high = (peak, high) if ramp_distance(peak) <= distance else (low, peak)
+        peak = float(np.cbrt(jerk * (distance / 2) * (distance / 2)))
+        longest = acceleration / jerk  # s, of a rise
+        if peak > acceleration * longest:  # the acceleration is reached, and held
+            peak = acceleration / 2 * (float(np.sqrt(longest * longest + 4 * distance / acceleration)) - longest)
     rise, hold = ramp_times(peak)
     top = rise * jerk
     cruise = max((distance - ramp_distance(peak)) / peak, 0.0)
