@@ -66,7 +66,7 @@ def simulate(
 
 
 class Rollout(Signals[Array]):
-    """The signals of a roll-out, [n] each. Under `jax.vmap` lanes come first, and an error is a number for each."""
+    """The `Signals` of a roll-out, [n] each. Under `jax.vmap` lanes come first, and an error is a number for each."""
 
     rate: float = eqx.field(static=True)  # Hz
     start: float = eqx.field(static=True, default=0.0)  # s, of the first sample

@@ -16,7 +16,7 @@ OK = Status(True)
 
 
 class Run(Result, Signals[np.ndarray]):
-    """One simulated motion: its signals, arrays of shape [n], and a status that says whether they are valid."""
+    """One simulated motion: its `Signals`, arrays of shape [n], and a status that says whether they are valid."""
 
     time: np.ndarray  # s
     reference_velocity: np.ndarray  # m/s
