@@ -63,8 +63,7 @@ class ParetoFront(Result):
                     "command_noise_N": point.command_noise, "rms_m": point.rms,
                 }
                 for point in self.points
-            ],
-            "notes": list(self.notes),
+            ]
         }  # fmt: skip
 
 
