@@ -174,7 +174,7 @@ def estimates_table(report: Report, found: Identification) -> None:
 
 
 def _estimate(one: ParameterEstimate) -> list[object]:
-    value, between = readable.shown(one.value), one.status
+    value, between = readable.shown(one.value), str(one.status)
     if one.status is EstimateStatus.FITTED:
         value, between = readable.interval(one.value, one.low, one.high)
     return [one.name, readable.unit_of(one.unit), one.believed, value, between]
