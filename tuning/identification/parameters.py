@@ -4,12 +4,11 @@ The names of tables and options are the paths without their part: `mass` is `pla
 """
 
 from collections.abc import Collection
-from operator import attrgetter
 from typing import NamedTuple
 
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive
-from diffdrive.model.quantity import Directional
+from diffdrive.model.quantity import Directional, node_at
 from diffdrive.numerics.arrays import Scalar
 from tuning.identification.unknowns import Unknowns
 
@@ -32,7 +31,7 @@ class IdentifiedParameter(NamedTuple):
 
     def value(self, drive: Drive, unknowns: Unknowns) -> Scalar | Directional:
         """Its value in a drive, or where that has none among the unknowns."""
-        value: Scalar | Directional = attrgetter(self.path)(drive) if self.in_drive else getattr(unknowns, self.unknown)
+        value: Scalar | Directional = node_at(drive, self.path) if self.in_drive else getattr(unknowns, self.unknown)
         return value
 
 
