@@ -127,8 +127,8 @@ def rollout(
     frames: PyTree = compiled_rollout(*as_arrays((drive, axis.controller)), inputs, axis.sampling, key)
     estimate = frames.estimate
     return Rollout(
-        reference=inputs.reference.position,
-        load=inputs.load,
+        reference=jnp.asarray(inputs.reference.position),
+        load=jnp.asarray(inputs.load),
         measured=frames.measured,
         table_position=frames.table_position,
         velocity=frames.velocity,

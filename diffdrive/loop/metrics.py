@@ -16,7 +16,7 @@ def window(time: np.ndarray, start: float, end: float) -> slice:
     return slice(int(inside[0]), int(inside[-1]) + 1)
 
 
-def safe_sqrt(value: Scalar) -> Scalar:
+def safe_sqrt(value: Scalar) -> Array:
     """Square root whose derivative at zero is zero, not infinite."""
     above = value > 0
     return jnp.where(above, jnp.sqrt(jnp.where(above, value, 1.0)), 0.0 * value)

@@ -59,12 +59,12 @@ class Friction(eqx.Module):
         """The exponent of the Stribeck curve; the paper's is 1."""
         return 1.0 if self.stribeck_exponent is None else self.stribeck_exponent
 
-    def coulomb_at(self, load: Scalar) -> Directional:
+    def coulomb_at(self, load: Scalar | np.ndarray) -> Directional:
         """Coulomb friction F_C (N) in each direction under an applied load (N; eq. (6))."""
         normal_force = self.initial_load + load
         return self.coulomb_screw + self.load_coefficient.map(lambda coefficient: coefficient * normal_force)
 
-    def breakaway_at(self, load: Scalar) -> Directional:
+    def breakaway_at(self, load: Scalar | np.ndarray) -> Directional:
         """Breakaway friction F_S (N) in each direction under an applied load (N)."""
         return self.coulomb_at(load) + self.breakaway_gap
 

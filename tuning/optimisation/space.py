@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from diffdrive.errors import ParameterError
 from diffdrive.model.quantity import Directional, node_at, quantities, with_nodes
 
-Model = TypeVar("Model")
+Model = TypeVar("Model", bound=eqx.Module)
 
 
 class FreeParameter(NamedTuple):
@@ -77,7 +77,7 @@ def _short(path: str) -> str:
     return ".".join(parts[-2:] if parts[-1] in ("positive", "negative") else parts[-1:])
 
 
-def _value(model: object, path: str) -> float:
+def _value(model: eqx.Module, path: str) -> float:
     node = node_at(model, path)
     if not isinstance(node, Directional):
         return float(node)
