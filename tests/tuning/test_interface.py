@@ -44,6 +44,14 @@ def test_an_effect_that_is_not_known_cannot_be_left_out():
 
 
 @pytest.mark.parametrize(
+    ("name", "value"), [("most_effects", 0), ("most_effects", 1.5), ("tolerance", 0.0), ("tolerance", 2.0)]
+)
+def test_a_search_that_cannot_be_is_refused_before_the_logs_are_read(name, value):
+    with pytest.raises(ParameterError, match=f"{name}: must be"):
+        tuning.diagnose(DRIVE, ["no such file"], **{name: value})
+
+
+@pytest.mark.parametrize(
     ("asked", "says"),
     [
         ({"loads": (5.0, 1.0)}, "loads: give the lowest and the highest"),

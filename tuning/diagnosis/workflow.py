@@ -16,6 +16,7 @@ from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.model.parameters import Drive
 from diffdrive.results import Result, Status
+from diffdrive.support.bounds import require_count, require_number
 from tuning.checked_logs import CheckedLogs, checked
 from tuning.diagnosis.as_json import as_json
 from tuning.diagnosis.calibration import TOLERANCE
@@ -130,7 +131,7 @@ def diagnose(
 
     Raises:
         LogError: A log cannot be used.
-        ParameterError: No effect or log has this name.
+        ParameterError: No effect or log has this name, or a number cannot be.
         ResultError: No cause was looked for, with `throw`.
 
     Examples:
@@ -142,6 +143,8 @@ def diagnose(
     for name in without:
         if name not in EFFECTS:
             raise ParameterError(f"without: no effect {name!r}; known: {', '.join(EFFECTS)}")
+    require_count("most_effects", most_effects)
+    require_number("tolerance", tolerance, above=0.0, at_most=1.0)
     (used,) = checked(axis, logs, loads=loads)
     with reporting(progress) as tell:
         found = diagnose_checked(

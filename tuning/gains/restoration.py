@@ -8,7 +8,7 @@ from tuning.gains.constrained import DesignPoint, LinearisedPoint
 from tuning.optimisation.least_distance import quadratic_program
 
 OVERSHOOT = 1.3  # of what is missed: a growth rate is no straight line
-RELAXATIONS = (1.0, 0.5, 0.25, 0.1)  # share of what is missed that one step is to mend
+RELAXATIONS = (1.0, 0.5, 0.25, 0.1)  # share of what is missed that one step is to restore
 
 
 def is_simulable(point: DesignPoint) -> bool:

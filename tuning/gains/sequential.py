@@ -29,13 +29,13 @@ from tuning.optimisation.least_distance import quadratic_program
 from tuning.optimisation.least_squares import StepProgress, no_progress
 
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.5, 2.0, 1e-3  # units of theta
-ACCEPTED_RATIO, GOOD_RATIO = 0.05, 0.7  # share of the foretold gain
+ACCEPTED_RATIO, GOOD_RATIO = 0.05, 0.7  # share of the predicted gain
 FEASIBILITY_TOLERANCE = 5e-3  # a requirement missed by less counts as kept
 MIN_GAIN = 1e-3  # of the objective, that a step must foretell, and three have gained, to be worth going on
 STALLED_STEPS = 3
 MAX_CUTS, CUT_TOLERANCE = 12, 1e-4  # at most, and how far a requirement may bend beyond its line
 PENALTY_FACTOR = 2.0  # of a missed requirement, over its multiplier
-RELAXATIONS = (1.0, 0.5, 0.25, 0.0)  # share of what is missed that one step is to mend
+RELAXATIONS = (1.0, 0.5, 0.25, 0.0)  # share of what is missed that one step is to restore
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def _trust_region_status(radius: float) -> str:
 
 
 def _solve_subproblem(linearised: LinearisedPoint, radius: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """The step within the radius that keeps the requirements, or mends as large a share of them as it can."""
+    """The step within the radius that keeps the requirements, or restores as large a share of them as it can."""
     names = list(linearised.point.constraints)
     values = np.concatenate([np.asarray(linearised.point.constraints[name]) for name in names])
     slopes = np.concatenate([np.asarray(linearised.constraint_jacobians[name]) for name in names])

@@ -23,7 +23,7 @@ class Adequacy(NamedTuple):
     """What is left when the model has explained what it can."""
 
     p_value: float  # Ljung-Box: how often white noise would look like these innovations
-    foretold: float  # share of the innovations' variance that an autoregression predicts from their past
+    predictable: float  # share of the innovations' variance that an autoregression predicts from their past
     missing: float  # N, RMS of the force that the filter had to invent
     share: float  # of the Coulomb friction
     gain: float  # in deviance, by letting the filter invent it
@@ -36,7 +36,7 @@ class Adequacy(NamedTuple):
     @property
     def is_coloured(self) -> bool:
         """Innovations that are predictable from earlier ones."""
-        return not self.p_value >= IMPROBABLE and self.foretold > PREDICTABLE
+        return not self.p_value >= IMPROBABLE and self.predictable > PREDICTABLE
 
     @property
     def lacks_force(self) -> bool:
@@ -50,7 +50,7 @@ class Adequacy(NamedTuple):
             return "the logs are too short, or too torn, to say whether a force is missing"
         force = f"{self.missing:.2g} N RMS ({100 * self.share:.2g} % of the Coulomb friction)"
         predictable = (
-            f"{100 * self.foretold:.2g} % of the innovations' variance is predictable from earlier innovations "
+            f"{100 * self.predictable:.2g} % of the innovations' variance is predictable from earlier innovations "
             f"({_chance(self.p_value)})"
         )
         if self.is_coloured and not self.lacks_force:
@@ -66,7 +66,7 @@ class Adequacy(NamedTuple):
         white = "white" if self.p_value >= IMPROBABLE else "as good as white"  # many samples show the least colour
         return (
             f"nothing is missing that these logs would show: the force left over is {force}, the innovations are "
-            f"{white} (p = {self.p_value:.2g}, {100 * self.foretold:.2g} % of their variance predictable)"
+            f"{white} (p = {self.p_value:.2g}, {100 * self.predictable:.2g} % of their variance predictable)"
         )
 
 
@@ -88,9 +88,9 @@ def adequacy(
     table = np.r_[1.0, rho]
     toeplitz = table[np.abs(np.subtract.outer(np.arange(lags), np.arange(lags)))]
     weights = np.linalg.solve(toeplitz + 1e-9 * np.eye(lags), rho)
-    foretold = (
+    predictable = (
         float(weights @ rho) - lags / counted
     )  # what fitting so many weights to white noise would seem to predict
     judged = np.isfinite(missing) & (innovation != 0.0)
     force = float(np.sqrt(np.mean(missing[judged] ** 2))) if judged.any() else float("nan")
-    return Adequacy(float(scipy.stats.chi2.sf(statistic, lags)), max(0.0, foretold), force, force / friction, gain)
+    return Adequacy(float(scipy.stats.chi2.sf(statistic, lags)), max(0.0, predictable), force, force / friction, gain)

@@ -51,7 +51,7 @@ INSEPARABLE = 0.95  # correlation
 
 @dataclass(frozen=True)
 class Identification:
-    """The drive that the logs tell, how sure each of its parameters is, and whether the model suffices."""
+    """The drive as identified from logs, how sure each of its parameters is, and whether the model suffices."""
 
     drive: Drive
     estimates: list[ParameterEstimate]
@@ -60,7 +60,7 @@ class Identification:
     covariance: Covariance
     correlated: list[tuple[str, str, float]]  # pairs, by their paths in an axis, that the logs hardly tell apart
     noise: float  # m
-    process_force: float  # N, standard deviation of the force that the model lacks, were it white
+    process_force: float  # N, standard deviation of the force missing in the model, were it white
     innovation: Float[np.ndarray, "lanes n"]  # m
     missing_force: Float[np.ndarray, "lanes n"]  # N, force that the corrections stand for
     velocity: Float[np.ndarray, "lanes n"]  # m/s, as predicted

@@ -27,7 +27,7 @@ from tuning.store.store import Store
 
 @dataclass(frozen=True, repr=False, eq=False)
 class IdentificationResult(Result):
-    """The axis that logs tell, and how sure each of its parameters is.
+    """The axis as identified from logs, and how sure each of its parameters is.
 
     `axis` has the identified machine, and a controller that believes in it. `estimates` are the parameters one by one;
     `fit` has the rest: covariance, residuals, adequacy. `held_out` are logs that were only looked at afterwards, by

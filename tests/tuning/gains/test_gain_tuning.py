@@ -82,7 +82,7 @@ def friction_of_an_observer():
 
 
 @pytest.mark.slow
-def test_a_limited_rms_is_foretold_as_the_curve_it_is(friction_of_an_observer):
+def test_a_limited_rms_is_predicted_as_the_curve_it_is(friction_of_an_observer):
     """An observer that believes the true friction errs little: a step in that friction bends the load error's RMS."""
     (gains, problem, at), d = friction_of_an_observer, np.array([0.3, -0.2])
     truth = np.asarray(evaluate(gains, jnp.asarray(d), problem).constraints["load error"])
@@ -95,7 +95,7 @@ def test_a_limited_rms_is_foretold_as_the_curve_it_is(friction_of_an_observer):
 
 @pytest.mark.slow
 def test_a_step_keeps_a_limited_rms_that_its_line_would_break(friction_of_an_observer):
-    """The program's step stays within the foretold curve, which is convex: every cut lies below it."""
+    """The program's step stays within the predicted curve, which is convex: every cut lies below it."""
     at = friction_of_an_observer[2]
     values = np.asarray(at.point.constraints["command noise"])
     one = np.zeros((len(values), 3, 3))

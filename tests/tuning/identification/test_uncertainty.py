@@ -158,10 +158,10 @@ def judged(innovation, gain=0.0, force=0.0):
     return adequacy(innovation, gain, np.full(innovation.shape, force), FRICTION)
 
 
-def autoregression(foretold, seed):
-    """White noise through 1 / (1 - a q^-1): the share a^2 of its variance is foretold by its past."""
+def autoregression(predictable, seed):
+    """White noise through 1 / (1 - a q^-1): the share a^2 of its variance is predictable from its past."""
     rng = np.random.default_rng(seed)
-    return scipy.signal.lfilter([1.0], [1.0, -np.sqrt(foretold)], rng.normal(size=NOTHING.shape), axis=1)
+    return scipy.signal.lfilter([1.0], [1.0, -np.sqrt(predictable)], rng.normal(size=NOTHING.shape), axis=1)
 
 
 def test_a_log_too_short_to_judge_is_not_said_to_miss_nothing():
@@ -178,7 +178,7 @@ def test_white_innovations_and_no_missing_force_are_no_structure(seed):
     verdict = judged(np.random.default_rng(seed).normal(size=NOTHING.shape), gain=5.0, force=0.05)
     assert not verdict.has_structure
     assert verdict.p_value > 1e-3
-    assert verdict.foretold < 0.005
+    assert verdict.predictable < 0.005
     assert verdict.says.startswith("nothing is missing")
 
 
@@ -188,13 +188,13 @@ def test_the_p_value_of_white_innovations_is_uniform():
     assert scipy.stats.kstest(values, "uniform").pvalue > 0.01
 
 
-@pytest.mark.parametrize("foretold", [0.02, 0.05, 0.5])
-def test_innovations_that_their_past_foretells_are_structure(foretold):
-    verdict = judged(autoregression(foretold, 7))
+@pytest.mark.parametrize("predictable", [0.02, 0.05, 0.5])
+def test_innovations_that_their_past_predicts_are_structure(predictable):
+    verdict = judged(autoregression(predictable, 7))
     assert verdict.has_structure
-    assert verdict.foretold == pytest.approx(foretold, abs=0.01)
+    assert verdict.predictable == pytest.approx(predictable, abs=0.01)
     assert verdict.p_value < 1e-3
-    assert f"{100 * verdict.foretold:.2g} %" in verdict.says
+    assert f"{100 * verdict.predictable:.2g} %" in verdict.says
 
 
 def test_a_trace_of_colour_is_beyond_doubt_and_yet_too_small_to_matter():
