@@ -67,11 +67,12 @@ def _required(axis: "Axes", limits: LoopLimits) -> None:
     """The unit circle, the ends of the gain margins, the rays of the phase margin, the circle of Ms."""
     turn = np.linspace(0.0, 2.0 * np.pi, 400)
     axis.plot(np.cos(turn), np.sin(turn), **LIMIT)
-    arc = np.linspace(-limits.phase, limits.phase, 50)
-    axis.fill(np.append(0.0, -np.cos(arc)), np.append(0.0, np.sin(arc)), **REGION)
-    for sign in (1.0, -1.0):
-        ray = -3.0 * np.exp(1j * sign * limits.phase)
-        axis.plot([0.0, ray.real], [0.0, ray.imag], ls=":", **LIMIT)
+    if limits.phase is not None:
+        arc = np.linspace(-limits.phase, limits.phase, 50)
+        axis.fill(np.append(0.0, -np.cos(arc)), np.append(0.0, np.sin(arc)), **REGION)
+        for sign in (1.0, -1.0):
+            ray = -3.0 * np.exp(1j * sign * limits.phase)
+            axis.plot([0.0, ray.real], [0.0, ray.imag], ls=":", **LIMIT)
     axis.plot([-limits.gain_down, -1.0 / limits.gain_up], [0.0, 0.0], "|-", ms=9, color="C3", lw=1.5)
     axis.plot(-1.0, 0.0, "+", color="k", ms=9)
     if limits.sensitivity is not None:
@@ -91,7 +92,8 @@ def bode(panels: Panels, limits: LoopLimits = LoopLimits()) -> "Figure":
         gain.axhspan(1.0 / limits.gain_up, limits.gain_down, **REGION)
         gain.axhline(1.0, **LIMIT)
         for turned in (-180.0, 180.0):
-            phase.axhspan(turned - np.degrees(limits.phase), turned + np.degrees(limits.phase), **REGION)
+            if limits.phase is not None:
+                phase.axhspan(turned - np.degrees(limits.phase), turned + np.degrees(limits.phase), **REGION)
             phase.axhline(turned, **LIMIT)
         gain.set(ylabel="|L|", title=title, ylim=(1e-3, 1e3))
         phase.set(ylabel="phase of L, deg", xlabel="frequency, Hz", ylim=(-390, 300), yticks=range(-360, 300, 90))

@@ -65,7 +65,7 @@ class LinearisedPoint(NamedTuple):
     gradient: Float[Array, " k"]  # of the objective
     hessian: Float[Array, "k k"]  # Gauss-Newton: of the squares that have the objective's gradient here
     constraint_jacobians: dict[str, Float[Array, "n k"]]
-    # mean products of a limited signal and its derivatives: its RMS is predicted as a root of a quadratic, not as a line
+    # mean products of a limited signal and its derivatives: its RMS is predicted as a root of a quadratic, not a line
     products: dict[str, Float[Array, "lanes k1 k1"]]
 
 

@@ -8,6 +8,8 @@ import pytest
 import diffdrive as dd
 import tuning
 from diffdrive.errors import CheckpointError, ParameterError
+from diffdrive.loop.smooth import smooth
+from tests.support.small_tuning import controller, requirements
 from tuning.gains import setup
 from tuning.gains.checkpoint import Checkpoint
 from tuning.gains.plan import TuningPlan
@@ -120,3 +122,9 @@ def test_a_tuning_goes_on_from_its_folder_alone(tmp_path):
     for other in (np.zeros((2, 1)), np.zeros(4, np.float32)):  # of the same bytes
         with pytest.raises(CheckpointError, match="is the checkpoint of another tuning"):
             Checkpoint(folder, other)
+
+
+def test_no_phase_margin_is_no_requirement():
+    limits = tuning.Requirements(phase_margin=0.0).limits(None, None)
+    assert limits.phase is None
+    assert "phase margin" not in requirements(limits).loop_constraints(smooth(controller()))
