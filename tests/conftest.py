@@ -1,3 +1,7 @@
+import gc
+
+import jax
+import psutil
 import pytest
 from hypothesis import settings
 
@@ -8,6 +12,18 @@ configure()  # which keeps what is compiled from run to run: half of the tests' 
 # the first example of a test pays for compilation: no deadline
 settings.register_profile("compiled", deadline=None)
 settings.load_profile("compiled")
+
+
+MOST_MEMORY = 1.5e9  # bytes a process: two of them fit beside a browser into 8 GB
+
+
+@pytest.fixture(autouse=True, scope="module")
+def bounded_memory():
+    """No process keeps the programs of all files that it has run: they are on the disk, too, and soon read again."""
+    yield
+    if psutil.Process().memory_info().rss > MOST_MEMORY:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(scope="session")

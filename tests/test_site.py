@@ -67,6 +67,7 @@ def test_the_pictures_of_the_gallery_are_those_that_its_code_saves():
 SLOW = {"identify-and-diagnose", "tune-and-sweep"}  # minutes; each build of the site runs them, too
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "notebook",
     [

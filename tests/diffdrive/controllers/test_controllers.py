@@ -401,6 +401,7 @@ def test_smooth_keeps_the_result_where_there_is_no_quantiser(controller):
         assert near.load_estimate[SETTLED] == pytest.approx(exact.load_estimate[SETTLED], abs=100.0)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::diffdrive.errors.LoadEstimatorWarning")
 def test_smooth_keeps_the_printed_load_estimator_near():
     slow = {"load": 5e3}

@@ -164,6 +164,7 @@ def test_derivatives_at_rest_are_zero(name):
     np.testing.assert_allclose(forward, 0.0, atol=1e-18)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_derivatives_in_stick_are_finite_and_agree(name):
     """A table pushed by a constant force that its friction holds."""
@@ -174,6 +175,7 @@ def test_derivatives_in_stick_are_finite_and_agree(name):
     np.testing.assert_allclose(reverse, forward, rtol=1e-8, atol=1e-9 * np.abs(forward).max())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [LIMITED_PD, *(pytest.param(one, marks=pytest.mark.slow) for one in ("PD+FC+LE", "PD+FC+LS"))]
 )

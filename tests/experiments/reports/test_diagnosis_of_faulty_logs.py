@@ -20,6 +20,7 @@ from tuning.checked_logs import CheckedLogs
 from tuning.diagnosis.workflow import downgrade, next_motion_of
 
 
+@pytest.mark.long
 def test_a_fatal_finding_is_mended_before_any_motion(constant_force_diagnosis, command_for, monkeypatch):
     fatal = [("lap", Finding("fatal", "position", "steps", "give the unit"))]
     monkeypatch.setattr(command, "read_diagnosis_logs", lambda *_: CheckedLogs((), tuple(fatal)))
@@ -50,6 +51,7 @@ def test_of_a_reversed_command_no_cause_is_looked_for_and_no_drive_file_written(
     assert (status["ok"], status["code"]) == (False, "void")
 
 
+@pytest.mark.long
 def test_a_fatal_finding_lowers_the_confidence_and_is_told(constant_force_diagnosis, command_for, capsys):
     assert command_for(constant_force_diagnosis)[0]["findings"] == []
     late = dataclasses.replace(constant_force_log.log(), command=delayed(constant_force_log.log().command, 1))
@@ -67,6 +69,7 @@ def test_a_fatal_finding_lowers_the_confidence_and_is_told(constant_force_diagno
     assert json.loads((out / "diagnosis.json").read_text())["findings"] == told["findings"]
 
 
+@pytest.mark.long
 def test_the_withheld_check_doubts_what_the_command_doubts(
     constant_force_diagnosis, command_for, tmp_path, monkeypatch
 ):
@@ -84,6 +87,7 @@ def test_the_withheld_check_doubts_what_the_command_doubts(
     assert answered["causes"] == told["causes"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("resembles", "amount", "verdict"),
     [

@@ -199,6 +199,7 @@ def test_a_batch_costs_what_its_points_cost_one_by_one(tiny, count):
         assert isinstance(getattr(found, part), np.ndarray)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("search", SEARCHES)
 def test_gains_are_searched(tiny, search):
     gains, problem, points, _ = tiny

@@ -158,6 +158,7 @@ def test_an_elastic_screw_is_fitted_from_where_a_loose_one_ended_and_not_the_oth
     assert leading.simpler(fitter, base, [], known.values()) == []
 
 
+@pytest.mark.long
 def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():
     """Its state outlasts a segment: begun at rest in each, half a second of it would be missing again and again."""
     truth = {"ratio": 0.05, "frequency": 6.0, "damping": 0.02}

@@ -342,6 +342,7 @@ def test_a_filter_under_a_rough_cost_tries_every_small_sudden_force(sound, monke
     assert any(one.shape == sudden.shape and np.allclose(one, sudden) for one in tried_for)
 
 
+@pytest.mark.long
 def test_the_least_process_force_hides_in_the_noise_of_a_fine_scale(sound):
     """A force gain and a machine that is as much lighter are one and the same, as far as that least is nothing: the one
     of a heavy table tells them apart on a light one behind a scale of 10 nm.

@@ -218,6 +218,7 @@ def test_a_killed_search_goes_on_to_the_same_end(tmp_path, usual):
     assert float(finished.point.objective) == pytest.approx(float(usual.point.objective), rel=1e-12)
 
 
+@pytest.mark.long
 def test_a_checkpoint_of_another_problem_or_damaged_is_refused(tmp_path):
     path = tmp_path / CHECKPOINT
 

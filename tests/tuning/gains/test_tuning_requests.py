@@ -124,6 +124,7 @@ def test_a_tuning_goes_on_from_its_folder_alone(tmp_path):
             Checkpoint(folder, other)
 
 
+@pytest.mark.long
 def test_no_phase_margin_is_no_requirement():
     limits = tuning.Requirements(phase_margin=0.0).limits(None, None)
     assert limits.phase is None
