@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Mapping
-from typing import NamedTuple, Self
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,6 +15,9 @@ from diffdrive.model.quantity import Directional, quantity, quantity_table
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.observers.friction_observer import ObserverEstimate
 from diffdrive.support.typing import TomlTable
+
+
+Smoothed = TypeVar("Smoothed", bound="Controller")
 
 
 class Reference(NamedTuple):
@@ -107,7 +110,7 @@ class Controller(eqx.Module):
     def init(self, position: Scalar) -> PyTree:
         """State at rest, the table measured at `position` (m)."""
 
-    def smoothed(self) -> Self:
+    def smoothed(self: Smoothed) -> Smoothed:
         """The smooth variant, for gradients: nothing that rounds or switches (`loop.smooth`). By default itself."""
         return self
 

@@ -9,13 +9,16 @@ effects in its loop; the diagnosis steps the same code along a measured trajecto
 
 import abc
 import enum
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
 from jaxtyping import Array, Float, PyTree
 
 from diffdrive.model.parameters import Drive
 from diffdrive.numerics.arrays import Scalar
+
+
+Smoothed = TypeVar("Smoothed", bound="Effect")
 
 
 class Seen(NamedTuple):
@@ -101,7 +104,7 @@ class Effect(eqx.Module):
         """
         return None
 
-    def smoothed(self) -> Self:
+    def smoothed(self: Smoothed) -> Smoothed:
         """The smooth variant, for gradients: nothing that rounds or switches (`loop.smooth`). By default itself."""
         return self
 

@@ -9,7 +9,9 @@ from jaxtyping import Array, Float, PyTree
 
 from diffdrive.errors import PrecisionError
 
-Scalar = Float[Array, ""] | float | int  # a check at run time does not take an int for a float
+# One number, as the code reads; where a function is called for many at once, an array over them, by broadcasting. (A check
+# at run time does not take an int for a float.)
+Scalar = Float[Array, "..."] | Float[np.ndarray, "..."] | Float[np.number, ""] | float | int
 Tree = TypeVar("Tree")
 
 
