@@ -16,7 +16,6 @@ from diffdrive.numerics.arrays import Scalar
 from diffdrive.observers.friction_observer import ObserverEstimate
 from diffdrive.support.typing import TomlTable
 
-
 Smoothed = TypeVar("Smoothed", bound="Controller")
 
 

@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, PyTree
 from diffdrive.model.parameters import Drive
 from diffdrive.numerics.arrays import Scalar
 
-
 Smoothed = TypeVar("Smoothed", bound="Effect")
 
 

@@ -145,7 +145,7 @@ def advance(
     state: PlantState,
     force: Scalar,
     load: Scalar,
-    period: float,
+    period: Scalar,
     substeps: int,
     ripple: Float[Array, " substeps"] | None = None,
 ) -> PlantState:
@@ -186,7 +186,7 @@ def advance_with_tangents(
     state: PlantState,
     force: Scalar,
     load: Scalar,
-    period: float,
+    period: Scalar,
     substeps: int,
     directions: Sequence[tuple[PlantState, Scalar]],
     ripple: Float[Array, " substeps"] | None = None,

@@ -9,8 +9,7 @@ from jaxtyping import Array, Float, PyTree
 
 from diffdrive.errors import PrecisionError
 
-# One number, as the code reads; where a function is called for many at once, an array over them, by broadcasting. (A check
-# at run time does not take an int for a float.)
+# one number, as the code reads; where a function is called for many at once, an array over them, by broadcasting
 Scalar = Float[Array, "..."] | Float[np.ndarray, "..."] | Float[np.number, ""] | float | int
 Tree = TypeVar("Tree")
 
