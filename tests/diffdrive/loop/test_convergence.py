@@ -128,6 +128,7 @@ def gains(drive):
     return jax.jit(gain), jax.jit(jax.grad(gain)), jax.jit(jax.jacfwd(gain))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("speed", [-0.010, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.001, 0.040))])
 def test_derivative_of_the_gain_by_the_filter_tuning(gains, speed):
     gain, reverse, forwards = gains

@@ -62,6 +62,7 @@ def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_i
         assert np.linalg.norm(slope - jacobian[:, k]) < 0.1 * np.linalg.norm(slope), k
 
 
+@pytest.mark.long
 def test_a_base_that_swings_with_little_damping_is_screened_between_the_points_of_the_grid(sound):
     """A resonance is as narrow as its damping, the grid's steps are a tenth: half way between two, neither shows it."""
     grid = next(one for one in catalogue(*sound) if one.name == "frame_vibration").grid

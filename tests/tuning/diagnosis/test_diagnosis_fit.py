@@ -113,6 +113,7 @@ def test_an_effect_that_is_there_is_fitted(effect, name, key, value):
     assert base.evidence - fit.evidence > WORTH
 
 
+@pytest.mark.long
 def test_what_follows_the_table_is_screened_beside_what_pushes_it(tilted, monkeypatch):
     """A contact that slips under a tilt which nothing holds against never ages."""
     fitter, base = tilted
@@ -138,6 +139,7 @@ def test_screening_points_no_further_than_any_prior_could_mean(sound):
     assert far.max() == pytest.approx(FARTHEST)
 
 
+@pytest.mark.long
 def test_where_screening_points_too_far_a_fit_begins_without_the_effect():
     fitter = fitter_of(Cogging(0.00125, 2.0, 1.0))
     base = recalibrated(fitter, TOLERANCE)

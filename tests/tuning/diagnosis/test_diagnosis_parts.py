@@ -132,6 +132,7 @@ def test_inverse_dynamics_count_presliding_elements_once():
     assert known < 0.1 * missing
 
 
+@pytest.mark.long
 def test_a_session_is_registered_anew():
     """Another start, so that the cogging has another phase, and another tilt; the period stays the machine's."""
     elsewhere = Cogging(0.0012, -4.0, 4.2)
@@ -145,6 +146,7 @@ def test_a_session_is_registered_anew():
     assert float(tilt.force) == pytest.approx(0.6, abs=0.2)
 
 
+@pytest.mark.long
 def test_a_wave_far_larger_than_is_usual_is_registered_anew():
     """Its phase is of the session, however large the wave; only a time far away stays where it is."""
     elsewhere = InterpolationError(period=5e-4, cosine=0.0, sine=3e-6)

@@ -27,6 +27,7 @@ def shaken(size):
     )
 
 
+@pytest.mark.long
 def test_a_sudden_force_that_the_filter_may_invent_counts_as_missing():
     fitter, fit, process = shaken(SUDDEN)
     gap = force_gap(fitter, fit, fit.model, fit.u, process)

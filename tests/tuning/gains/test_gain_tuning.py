@@ -235,6 +235,7 @@ def test_a_checkpoint_of_another_problem_or_damaged_is_refused(tmp_path):
             tuned(resume=str(tmp_path))
 
 
+@pytest.mark.long
 def test_an_interrupted_tuning_returns_the_best_so_far():
     def stop(count, most, cost):
         if count == 2:

@@ -164,6 +164,7 @@ def test_rows_that_are_left_out_are_no_other_gains_and_no_pulses(remembering, sk
     assert first.repair.steps[0].factor == skip
 
 
+@pytest.mark.long
 def test_what_single_channels_show_of_exchanged_columns_is_not_said_beside(remembering):
     drive, log = remembering
     exchanged = dataclasses.replace(log, reference=log.position, position=log.reference)
