@@ -47,10 +47,10 @@ class _PlantUnderLoad(NamedTuple):
     resistance: Directional  # 1 + (mu_v + B) / p
     momentum: Scalar  # p, N s/m
     mobility: Scalar  # 1 / p, m/s per newton
-    step: float  # h, s
+    step: Scalar  # h, s
 
 
-def _plant_under_load(drive: Drive, load: Scalar, step: float) -> _PlantUnderLoad:
+def _plant_under_load(drive: Drive, load: Scalar, step: Scalar) -> _PlantUnderLoad:
     friction, damping, mass = friction_under_load(drive.friction, load), drive.plant.damping, drive.plant.mass
     mobility = 0.5 * step / mass
 
