@@ -1,6 +1,6 @@
 """Numbers as JAX takes them: a scalar, a tree of arrays in double precision, or in that of another number."""
 
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +9,10 @@ from jaxtyping import Array, Float, PyTree
 
 from diffdrive.errors import PrecisionError
 
-# one number, as the code reads; where a function is called for many at once, an array over them, by broadcasting
-Scalar = Float[Array, "..."] | Float[np.ndarray, "..."] | Float[np.number, ""] | float | int
+if TYPE_CHECKING:
+    Scalar = Float[Array, ""] | float | int
+else:  # where hints are checked at run time: what is called for many at once takes an array over them, by broadcasting
+    Scalar = Float[Array, "..."] | Float[np.ndarray, "..."] | Float[np.number, ""] | float | int
 Tree = TypeVar("Tree")
 
 
