@@ -40,7 +40,7 @@ class Checkpoint:
         if identity != self.identity:
             raise CheckpointError(
                 f"{self.path}: is the checkpoint of another tuning (other drive, scenarios, settings, code or "
-                "processor): delete it to begin anew, or name another folder"
+                "processor): delete it to start over, or name another folder"
             )
         self.states = states
 

@@ -1,4 +1,4 @@
-"""What tells a sweep from any other: everything that its numbers hang on."""
+"""What identifies a sweep: everything that its numbers depend on."""
 
 import numpy as np
 

@@ -169,7 +169,7 @@ def read_spec(folder: Path) -> SweepSpec:
     try:
         text = path.read_text(encoding="utf-8")
         if problem := json.loads(text).get("unwritable"):
-            raise ParameterError(f"{path}: this sweep cannot be made anew: {problem}")
+            raise ParameterError(f"{path}: this sweep cannot be repeated: {problem}")
         return from_text(text)
     except ParameterError:
         raise

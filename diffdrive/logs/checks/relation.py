@@ -61,7 +61,7 @@ class ControllerRelation:
 
     @property
     def feeds_logged_command(self) -> bool:
-        """Whether the controller is told the logged command as the force that acted, in the place of its own."""
+        """Whether the controller is given the logged command as the force that acted, in the place of its own."""
         return self.after_transient and self.axis.controller.has_friction_observer
 
     @cached_property

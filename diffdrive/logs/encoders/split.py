@@ -1,4 +1,4 @@
-"""Backlash told from wind-up by the force in reversals: a gap is crossed without force, a screw winds up under it.
+"""Backlash and wind-up, separated by the force in reversals: a gap is crossed without force, a screw winds up under it.
 
 The screw's force S is a function of what motor and table are apart, whatever came before: S = k dz(d), where dz is d
 outside a gap g and zero within. The motor's balance through a reversal is therefore

@@ -71,7 +71,7 @@ def test_what_no_file_can_hold_is_said_where_text_is_needed_and_nowhere_else(tmp
     unwritable = spec(axis=BESIDE_ITSELF)
     unwritable.plan()
     write_spec(unwritable, tmp_path)
-    with pytest.raises(ParameterError, match=r"spec\.json: this sweep cannot be made anew: .*need drive files.*beside"):
+    with pytest.raises(ParameterError, match=r"spec\.json: this sweep cannot be repeated: .*need drive files.*beside"):
         read_spec(tmp_path)
     for more in ({"workers": 2}, {"cluster": "tcp://127.0.0.1:9"}):
         with pytest.raises(
