@@ -1,4 +1,4 @@
-"""`diffdrive identify` as a user meets it: from log files to a drive file, with what it says and what it refuses."""
+"""`diffdrive identify` as a user meets it: from log files to a drive file, with what it says."""
 
 import dataclasses
 import json
@@ -11,50 +11,23 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive.axis_file.drive_file import read_axis, write_axis
-from diffdrive.errors import LogError, MotionError, ParameterError
-from diffdrive.logs import read_log, write_log
+from diffdrive.axis_file.drive_file import read_axis
+from diffdrive.logs import write_log
 from diffdrive.logs.write import write_csv
 from experiments.cli.main import app
 from experiments.reports import interruption
-from experiments.reports.checked_logs import parse_loads, read_sound_logs
-from experiments.reports.identification.identification import parse_bounds
+from experiments.reports.checked_logs import read_sound_logs
 from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.readable import interval, readable, significant
 from experiments.reports.report import Report
 from experiments.studies.emps import axis as emps
-from experiments.studies.recovery.excitation import concatenate, resting, strokes
-from tests.support.sound_log import RATE, axis_of, simulate_log
+from tests.support.identify_command import MOTION, QUESTION, TRUE, run
+from tests.support.sound_log import simulate_log
 from tuning.identification.identify import COARSE_STEPS
 from tuning.sweeps.identified import read_uncertainty
 from tuning.sweeps.machines import machines
 from tuning.sweeps.samples import correlate, correlation_root, unit_samples
 from tuning.sweeps.varied import parse_varied
-
-TRUE = axis_of()
-# distance m, speed m/s, acceleration m/s^2, jerk m/s^3: slow and fast reversals, 2.2 s
-STROKES = (
-    (2e-5, 4e-4, 0.05, 20.0),
-    (2e-4, 1.5e-3, 0.05, 20.0),
-    (1e-3, 5e-3, 0.3, 30.0),
-    (2e-3, 2e-2, 0.5, 50.0),
-    (4e-3, 0.08, 2.0, 200.0),
-    (1e-3, 3e-3, 0.3, 30.0),
-)
-# the same question wherever one is asked in full, so that it is compiled once
-QUESTION = ("--starts", 2, "--fix", "stribeck_velocity", "--bound", "mass=70kg:150")
-MOTION = concatenate([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05, RATE)], "reversals")
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Two logs of one machine, and a drive file that takes its mass for a quarter too large."""
-    folder = tmp_path_factory.mktemp("identify")
-    for name, seed in (("lap", 1), ("other", 2)):
-        write_log(folder / f"{name}.csv", simulate_log(TRUE, MOTION, seed=seed))
-    heavy = dataclasses.replace(TRUE.drive, plant=dataclasses.replace(TRUE.drive.plant, mass=125.0))
-    write_axis(folder / "drive.toml", dataclasses.replace(TRUE, drive=heavy))
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +39,6 @@ def identified(folder):
         "--out", out,
     )  # fmt: skip
     return result, out, json.loads((out / "result.json").read_text())
-
-
-def run(*arguments):
-    return CliRunner().invoke(app, ["identify", *(str(one) for one in arguments)], catch_exceptions=False)
 
 
 def estimates(written):
@@ -149,109 +118,6 @@ def test_the_identified_drive_file_reads_back_and_simulates(identified, folder):
     simulated = CliRunner().invoke(app, ["simulate", str(out / "identified.toml"), "--motion", motion])
     assert simulated.exit_code == 0
     assert "status ok" in simulated.output
-
-
-FAULTS = {
-    "no such parameter": (("--fix", "mas"), r"--fix mas: no such parameter; known: mass, constant_force"),
-    "no such bound": (("--bound", "mas=1:2"), r"--bound mas: no such parameter"),
-    "half a bound": (("--bound", "mass=80"), r"--bound mass=80: write NAME=LOW:HIGH"),
-    "bounds reversed": (("--bound", "mass=120:80"), r"--bound mass=120:80: the lower end must be below"),
-    "bounded twice": (("--bound", "mass=8:9", "--bound", "mass=9:10"), r"mass is bounded twice"),
-    "load of no log": (("--load", "lop.csv=8kN"), r"--load lop.csv=8kN: no such log; did you mean 'lap.csv'\?"),
-    "load of what log": (("--load", "8kN"), r"--load 8kN: write LOG=FORCE, such as lap.csv=8kN"),
-    "load without a number": (("--load", "lap.csv=heavy"), r"--load lap.csv=heavy: "),
-    "loaded twice": (("--load", "lap.csv=8kN", "--load", "lap.csv=9kN"), r"lap.csv is given two loads"),
-    "no such channel": (("--column", "positon=qm"), r"positon: no such channel; did you mean 'position'"),
-    "no such column": (("--column", "position=qm"), r"qm"),
-}
-
-
-@pytest.mark.parametrize("name", FAULTS)
-def test_bad_options_are_refused_in_one_line(name, folder):
-    options, said = FAULTS[name]
-    with pytest.raises((ParameterError, LogError, MotionError), match=said) as caught:
-        run(folder / "lap.csv", "--drive", folder / "drive.toml", *options)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_log_without_a_column_for_its_load_is_told_it(folder, tmp_path):
-    with Report("loads", tmp_path) as report:
-        paths = [folder / "lap.csv", folder / "other.csv"]
-        given = parse_loads(["other=8kN"], paths)
-        lap, other = read_sound_logs(paths, TRUE, report, name="findings", force=False, loads=given).logs
-        assert lap.load is None
-        assert np.all(other.load == 8e3)
-        loaded = tmp_path / "loaded.csv"
-        write_log(loaded, other)
-        with pytest.raises(LogError, match="has a load of its own"):
-            read_sound_logs([loaded], TRUE, report, name="more", force=False, loads={loaded: 1.0})
-
-
-def test_a_bound_may_carry_its_unit():
-    assert parse_bounds(["bristle_stiffness=20 N/um:50N/um"]) == {"friction.bristle_stiffness": (2e7, 5e7)}
-    assert parse_bounds(["actuator.delay=0:2"]) == {"actuator.delay": (0.0, 2.0)}
-
-
-def test_a_log_that_is_none_is_refused(folder):
-    (folder / "empty.csv").write_text("time,position\n")
-    with pytest.raises(LogError, match=r"empty\.csv"):
-        run(folder / "empty.csv", "--drive", folder / "drive.toml")
-    with pytest.raises(LogError, match=r"nowhere\.csv: no such file"):
-        run(folder / "nowhere.csv", "--drive", folder / "drive.toml")
-
-
-def test_a_log_at_another_rate_is_refused(folder, tmp_path):
-    log = simulate_log(TRUE, MOTION)
-    slower = {name: values[::2] for name, values in log.channels.items()}
-    write_log(tmp_path / "slow.csv", dataclasses.replace(log, **slower))
-    with pytest.raises(LogError, match=r"slow\.csv: is sampled at 1000 Hz, .* runs at 2000 Hz: log every sample"):
-        run(tmp_path / "slow.csv", "--drive", folder / "drive.toml")
-
-
-def test_a_log_that_is_given_twice_is_refused(folder, tmp_path):
-    drive = ("--drive", folder / "drive.toml")
-    copy = tmp_path / "another_day.csv"
-    copy.write_bytes((folder / "lap.csv").read_bytes())
-    with pytest.raises(LogError, match=r"lap\.csv: is given twice; give each log once"):
-        run(folder / "lap.csv", folder / "other.csv", tmp_path / ".." / folder.name / "lap.csv", *drive)
-    with pytest.raises(LogError, match=r"another_day\.csv: holds the same samples as lap; give each log once"):
-        run(folder / "lap.csv", copy, *drive)
-    for again in (folder / "lap.csv", copy):
-        with pytest.raises(LogError, match=rf"{again.name}: holds the same samples as lap; .* hold out one of another"):
-            run(folder / "lap.csv", *drive, "--held-out", again)
-
-
-def cut(folder, name, rows):
-    """A log of the first rows, in SI units."""
-    log = simulate_log(TRUE, MOTION)
-    write_log(folder / name, dataclasses.replace(log, **{k: values[:rows] for k, values in log.channels.items()}))
-    return folder / name
-
-
-def test_too_short_a_log_is_told_how_long_it_must_be(folder, tmp_path):
-    """No --force helps: fewer samples in a row than that are never used."""
-    short = cut(tmp_path, "short.csv", 199)
-    told = r"short\.csv: has at most 199 samples in a row without a gap; at least 200 are needed, 0\.1 s at 2000 Hz"
-    for logs in ([short], [folder / "lap.csv", "--held-out", short]):
-        with pytest.raises(LogError, match=told) as refused:
-            run(*logs, "--drive", folder / "drive.toml", "--force")
-        assert "force" not in str(refused.value)
-        assert "log a longer motion" in str(refused.value)
-    with Report("long enough", None) as report:
-        read_sound_logs([cut(tmp_path, "enough.csv", 200)], TRUE, report, name="findings", force=True)
-
-
-def test_a_simulated_run_needs_no_unit_beside_a_force_per_volt(folder, tmp_path):
-    drive = tmp_path / "volts.toml"
-    drive.write_text((folder / "drive.toml").read_text() + "\n[units]\nforce_per_volt = 159.593\n")
-    motion = "sine:amplitude=2mm,frequency=2Hz,duration=0.5s"
-    simulate = ["simulate", str(drive), "--motion", motion, "--out", str(tmp_path / "run")]
-    assert CliRunner().invoke(app, simulate).exit_code == 0
-    with Report("simulated", None) as report:
-        (log,) = read_sound_logs(
-            [tmp_path / "run" / "run.csv"], read_axis(drive), report, name="findings", force=False
-        ).logs
-    assert np.array_equal(log.command, read_log(tmp_path / "run" / "run.csv").command)
 
 
 @pytest.fixture

@@ -25,9 +25,9 @@ import pytest
 from diffdrive.axis_file.drive_file import write_axis
 from diffdrive.logs import write_log
 from experiments.studies.emps import axis as emps
-from tests.experiments.cli.test_identify_command import MOTION, QUESTION
 from tests.experiments.cli.test_tune_command import DRIVE as TUNED
 from tests.experiments.cli.test_tune_command import QUICK
+from tests.support.identify_command import MOTION, QUESTION
 from tests.support.sound_log import DRIVE, axis_of, simulate_log, two_sines
 
 pytestmark = [pytest.mark.skipif(os.name == "nt", reason="POSIX signals"), pytest.mark.slow]
