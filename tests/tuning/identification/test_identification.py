@@ -1,51 +1,26 @@
-"""Identification of known machines: what it finds, what it says it cannot know, and what it is told to leave alone."""
+"""Identification of known machines: what it finds, and what it says it cannot know."""
 
 from dataclasses import replace
-from functools import cache
 from types import SimpleNamespace
 
-import equinox as eqx
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from diffdrive import motion
-from diffdrive.controllers import PD, PDGains, Tracking
-from diffdrive.errors import LogError, ParameterError
-from diffdrive.logs import Log
+from diffdrive.controllers import PD, Tracking
 from diffdrive.model.parameters import Actuator, Sampling, check_drive
-from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.model.quantity import Directional, quantities
 from diffdrive.motion.load import ramp
 from diffdrive.motion.motion import Limits
-from experiments.studies.recovery.excitation import (
-    FAST,
-    MEDIUM,
-    SLOW,
-    concatenate,
-    identification_motion,
-    resting,
-    strokes,
-)
-from experiments.studies.recovery.random_drive import random_drive
+from experiments.studies.recovery.excitation import concatenate, identification_motion, resting
 from experiments.studies.recovery.study import BARS, true_values
 from experiments.studies.recovery.truth import truth_log
+from tests.support.known_machine import BELIEVED, GAINS, MACHINE, RATE, by_name
 from tuning.experiment_design.next_motion import candidates, propose_motions
-from tuning.identification.estimates import estimates, reported_parameters
-from tuning.identification.identify import COARSE_STEPS, INSEPARABLE, Identification, identify
+from tuning.identification.estimates import reported_parameters
+from tuning.identification.identify import INSEPARABLE, Identification, identify
 from tuning.identification.parameters import axis_path, without_side
-from tuning.identification.problem import Innovations
-from tuning.identification.refinement import MAX_ROUGH_STEPS, MAX_STEPS
-from tuning.identification.setup import build_problem
-from tuning.identification.uncertainty import Covariance
 from tuning.identification.unknowns import unknowns_of
 from tuning.optimisation.least_squares import Outcome
-
-RATE = 2_000.0
-GAINS = PDGains(PAPER_KP, PAPER_KD)
-BELIEVED = paper_drive()
-MACHINE = random_drive(np.random.default_rng(1))
 
 
 def stem(name):
@@ -69,59 +44,6 @@ def test_what_programs_go_by_hangs_on_no_sentence(outcome, has_structure):
     )
     assert fit.code == CODES[outcome, has_structure]
     assert ("model incomplete" in fit.status) == (fit.code == "structure_remains")
-
-
-# --- the unknowns
-
-
-drives = st.builds(lambda seed: random_drive(np.random.default_rng(seed)), st.integers(0, 10_000))
-
-
-@settings(max_examples=12)
-@given(
-    drives, st.tuples(st.floats(-0.9, 2.0), st.floats(-0.9, 2.0)), st.tuples(st.floats(0.0, 3.0), st.floats(0.0, 3.0))
-)
-def test_unknowns_are_another_way_to_say_a_drive(drive, gaps, dampings):
-    """Also where friction rises from standstill, and whatever share of the viscous friction is called damping."""
-    level = unknowns_of(drive, 0.0).coulomb
-    drive = eqx.tree_at(
-        lambda d: (d.friction.breakaway_gap, d.plant.damping),
-        drive,
-        (
-            Directional(gaps[0] * level.positive, gaps[1] * level.negative),
-            Directional(500.0 * dampings[0], 500.0 * dampings[1]),
-        ),
-    )
-    again = unknowns_of(drive, 0.7).drive(drive)
-    for (name, _, ours), (_, _, theirs) in zip(quantities(again), quantities(drive), strict=True):
-        if ours is None:
-            assert theirs is None
-        elif isinstance(ours, Directional):
-            for side in ("positive", "negative"):
-                expected = float(getattr(theirs, side))
-                assert float(getattr(ours, side)) == pytest.approx(expected, rel=1e-9, abs=1e-9), name
-        else:
-            assert float(ours) == pytest.approx(float(theirs), rel=1e-12), name
-    check_drive(eqx.tree_at(lambda d: d.actuator, again, Actuator()))
-
-
-def test_less_viscous_friction_than_the_file_has_damping_takes_it_from_the_damping():
-    unknowns = replace(unknowns_of(BELIEVED, 0.0), viscous=Directional(100.0, 3000.0))
-    drive = unknowns.drive(BELIEVED)
-    assert (drive.plant.damping.positive, drive.friction.viscous.positive) == (100.0, 0.0)
-    assert (drive.plant.damping.negative, drive.friction.viscous.negative) == (260.0, 2740.0)
-
-
-def test_a_held_gap_stays_in_newtons_and_a_free_one_in_proportion_when_the_coulomb_friction_changes():
-    unknowns = unknowns_of(BELIEVED, 0.0)
-    doubled = replace(
-        unknowns, coulomb=Directional(*(2 * x for x in (unknowns.coulomb.positive, unknowns.coulomb.negative)))
-    )
-    free, held = doubled.drive(BELIEVED), replace(doubled, breakaway=None).drive(BELIEVED)
-    assert held.friction.breakaway_gap.positive == 30.0
-    assert held.friction.breakaway_gap.negative == 22.98
-    assert free.friction.breakaway_gap.positive == pytest.approx(60.0)
-    assert free.friction.breakaway_gap.negative == pytest.approx(45.96)
 
 
 # --- a machine with a delay, on a motion made for identification
@@ -213,10 +135,6 @@ def one_way():
     return identify([log], BELIEVED, starts=2, fixed=("constant_force",))
 
 
-def by_name(found):
-    return {one.name: one for one in found.estimates}
-
-
 @pytest.mark.slow
 def test_what_one_direction_under_one_load_does_not_show_stays_as_believed_and_is_named(one_way):
     rows = by_name(one_way)
@@ -283,152 +201,3 @@ def test_a_motion_beyond_the_axis_is_not_proposed(one_way):
         (sine if name.startswith("sine") else triangles).append(name)
     assert sine
     assert triangles
-
-
-# --- what is held, bounded, stopped, refused
-
-
-@cache
-def short_log():
-    rows = (*SLOW[3:5], MEDIUM[2], FAST[0])
-    reference = concatenate([resting(0.05, RATE), *strokes(rows, RATE), resting(0.05, RATE)], "short")
-    return truth_log(MACHINE, GAINS, reference, 0.0, seed=2)
-
-
-TOLD = {"fixed": ("breakaway_gap",), "bounded": {"mass": (80.0, 97.0), "viscous": (1_000.0, 3_000.0)}, "starts": 2}
-
-
-@pytest.fixture(scope="module")
-def told():
-    return identify([short_log()], BELIEVED, **TOLD)
-
-
-@pytest.mark.slow
-def test_what_is_fixed_stays_and_what_is_bounded_stays_inside(told):
-    rows = by_name(told)
-    for side, gap in (("positive", 30.0), ("negative", 22.98)):
-        one = rows[f"breakaway_gap.{side}"]
-        assert (one.status, one.value, one.low, one.high) == ("fixed", *[pytest.approx(gap, abs=1e-9)] * 3)
-        assert getattr(told.drive.friction.breakaway_gap, side) == gap
-        assert 1_000.0 < rows[f"viscous.{side}"].value < 3_000.0
-    # the true mass is 101 kg
-    assert 96.0 < rows["mass"].value <= 97.0
-    assert rows["mass"].status == "at its bound"
-    assert (rows["mass"].lowest, rows["mass"].highest) == pytest.approx((80.0, 97.0))
-    assert rows["viscous.positive"].lowest == pytest.approx(1_000.0)
-    assert rows["breakaway_gap.positive"].lowest == rows["breakaway_gap.positive"].highest
-
-
-def bounds_of(logs, fixed=(), **bounded):
-    """The question's bounds by path, and its notes."""
-    question = build_problem(logs, BELIEVED, fixed, bounded)
-    return {one.path: (one.low, one.high) for one in question.free}, question.notes
-
-
-def two_loads():
-    log = short_log()
-    return [replace(log, load=np.zeros_like(log.time)), replace(log, load=np.full_like(log.time, 5e3))]
-
-
-def test_bounds_are_given_in_the_names_of_the_drive_file():
-    friction = BELIEVED.friction
-    guide = float(friction.load_coefficient.positive * friction.initial_load)
-    level = float(friction.coulomb_screw.positive) + guide
-    found, _ = bounds_of(two_loads(), coulomb_at_no_load=(50.0, 150.0))
-    assert found["coulomb.positive"] == pytest.approx((50.0, 150.0))
-    found, _ = bounds_of([short_log()], coulomb_screw=(50.0, 150.0))  # one load: load_coefficient is held
-    assert found["coulomb.positive"] == pytest.approx((50.0 + guide, 150.0 + guide))
-    found, notes = bounds_of([short_log()], ("coulomb_screw",), breakaway_gap=(-1.0, 40.0))
-    assert found["breakaway.positive"] == pytest.approx((1 - 1.0 / level, 1 + 40.0 / level))
-    assert not any("F_S / F_C" in note for note in notes)
-    assert any("F_S / F_C" in note for note in bounds_of([short_log()], breakaway_gap=(-1.0, 40.0))[1])
-
-
-def test_narrow_bounds_are_no_prior_and_leave_nothing_undetermined():
-    """The prior, and what counts as determined, are those of the usual bounds: a factor of 30 either way."""
-    free = build_problem([short_log()], BELIEVED, (), {"mass": (94.0, 96.0)})
-    prior = dict(zip((one.path for one in free.free), free.problem.prior, strict=True))
-    assert prior["mass"] == pytest.approx(np.log(96 / 94) / np.log(900))
-    assert prior["delay"] == prior["viscous.positive"] == 1.0
-
-
-def test_a_drive_file_with_more_damping_than_the_machine_is_told():
-    """Friction that grows less with speed than the file's damping leaves no viscous friction to speak of."""
-    damped = replace(BELIEVED, plant=replace(BELIEVED.plant, damping=Directional(1e4, 1e4)))
-    question = build_problem([short_log()], damped, (), {})
-    paths = [one.path for one in question.free]
-    y = np.zeros(len(paths))
-    y[paths.index("viscous.positive")] = -1.0
-    innovations = Innovations(question.free, Sampling(RATE))
-    covariance = Covariance(np.eye(len(y)), 100, 1.0)
-    found = {row.name: row for row in estimates(y, innovations, question.problem, covariance, set())[0]}
-    assert (found["viscous.positive"].value, found["viscous.positive"].status) == (0.0, "at its bound")
-    assert found["viscous.negative"].status == "fitted"
-
-
-def test_bounds_that_make_no_sense_are_refused_with_the_mend():
-    with pytest.raises(ParameterError, match=r"while load_coefficient is free.* bound coulomb_at_no_load"):
-        bounds_of(two_loads(), coulomb_screw=(50.0, 150.0))
-    with pytest.raises(ParameterError, match="mass is both bounded and held"):
-        bounds_of([short_log()], ("mass",), mass=(50.0, 150.0))
-    with pytest.raises(ParameterError, match="coulomb_screw is bounded twice, under two names"):
-        bounds_of([short_log()], coulomb_at_no_load=(50.0, 150.0), coulomb_screw=(50.0, 150.0))
-    for limits in ((-5.0, 150.0), (150.0, 50.0), (50.0, np.inf)):
-        with pytest.raises(ParameterError, match=r"cannot bound plant.mass within .*: not a range of its values"):
-            bounds_of([short_log()], mass=limits)
-
-
-class Stops:
-    """Raises at the first step of the first search that is this long."""
-
-    def __init__(self, most):
-        self.most = most
-        self.steps = []
-
-    def __call__(self, step, most, cost):
-        self.steps.append((step, most))
-        if most == self.most:
-            raise KeyboardInterrupt
-
-
-SEARCHES = {"the starts": COARSE_STEPS, "the first search": MAX_ROUGH_STEPS, "a search under the filter": MAX_STEPS}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("most", SEARCHES.values(), ids=SEARCHES.keys())
-def test_an_interrupted_identification_returns_the_best_so_far_and_says_so(told, most):
-    stops = Stops(most)
-    found = identify([short_log()], BELIEVED, **TOLD, progress=stops)
-    assert found.status.startswith("interrupted")
-    assert stops.steps[-1] == (1, most)  # nothing was begun afterwards
-    assert sum(length == most for _, length in stops.steps) == 1
-    check_drive(found.drive)
-    rows = by_name(found)
-    assert rows.keys() == by_name(told).keys()
-    for one in found.estimates:
-        assert np.isfinite(one.value)
-        assert np.isfinite([one.low, one.high]).all() == (one.status != "at its bound")
-    assert 80.0 <= rows["mass"].value <= 97.0
-    assert found.drive.friction.breakaway_gap.positive == 30.0
-
-
-def test_names_that_are_no_parameters_are_refused_with_those_that_are():
-    with pytest.raises(ParameterError, match=r"cannot fix 'weight'; known: mass, .*delay"):
-        identify([short_log()], BELIEVED, fixed=("weight",))
-    with pytest.raises(ParameterError, match=r"cannot bound 'masss'; known: mass, .*delay"):
-        identify([short_log()], BELIEVED, bounded={"masss": (1.0, 2.0)})
-
-
-def test_logs_that_cannot_be_used_are_refused_with_the_mend():
-    log = short_log()
-    twice = Log("twice as slow", 2.0 * log.time, log.position, log.command)
-    brief = Log("brief", log.time[:150], log.position[:150], log.command[:150])
-    with pytest.raises(LogError, match="no log to identify from"):
-        identify([], BELIEVED)
-    with pytest.raises(LogError, match=r"twice as slow is sampled at 1000 Hz, .* at 2000 Hz: .* one rate"):
-        identify([log, twice], BELIEVED)
-    with pytest.raises(LogError, match=r"no stretch of 200 samples without a gap in brief"):
-        identify([brief], BELIEVED)
-    torn = replace(log, name="torn", gaps=tuple(range(150, len(log.time), 150)))
-    with pytest.raises(LogError, match=r"no stretch of 200 samples without a gap in torn"):
-        identify([torn], BELIEVED)
