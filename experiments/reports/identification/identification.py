@@ -32,6 +32,11 @@ from tuning.sweeps.identified import write_uncertainty
 PARTS = "identification.parts"  # finished searches, from which the same command continues
 HARDLY = 0.1  # half of an interval over the value, from which a parameter is hardly determined
 NEAR = 1.01  # times the best cost, up to which a start has found the same
+NO_MOTION = {  # by whether the controller is known
+    False: "without a controller none can be simulated",
+    True: "the axis limits leave none of those that would be tried",
+}
+TRY_IT = " (each can be tried: diffdrive simulate --motion ...)"
 
 
 def identify_drive(
@@ -244,10 +249,9 @@ def _next_motions(report: Report, result: IdentificationResult) -> None:
         return
     with report.working("looking for the motions that would determine them"):
         offers = result.next_motions
-    if isinstance(result.initial_axis.controller, UnknownController):
-        report.say("No motion is proposed: without a controller none can be simulated.")
-    elif len(offers) < len(undetermined):
-        report.say("No motion is proposed: the axis limits leave none of those that would be tried.")
+    if len(offers) < len(undetermined):
+        has_controller = not isinstance(result.initial_axis.controller, UnknownController)
+        report.say(f"No motion is proposed{' for the others' if offers else ''}: {NO_MOTION[has_controller]}.")
     if not offers:
         return
     rows = [
@@ -264,7 +268,7 @@ def _next_motions(report: Report, result: IdentificationResult) -> None:
         "next_motions",
         ("parameter", "unit", "+- now", "+- then", "log this motion too"),
         rows,
-        "What would determine the rest (each can be tried: diffdrive simulate --motion ...)",
+        "What would determine the rest" + (TRY_IT if any(np.isfinite(one.after) for one in offers) else ""),
     )
 
 
