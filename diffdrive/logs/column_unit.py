@@ -21,6 +21,8 @@ _PARENTHESES = re.compile(r"(?P<name>.*\S)\s*\((?P<unit>[^()]*[^\W\d_][^()]*)\)"
 _SUFFIX = re.compile(r"(?P<name>.+)_(?P<unit>s|ms|us|µs|ns|m|mm|um|µm|nm|N|kN|V|mV|A|mA|degC|K)")
 _ADDRESS = re.compile(r"u\d+[\s,;]+\d+")  # of an axis, as SINUMERIK writes it behind a signal's name: [u1, 1]
 _NO_UNIT = ("", "-", "1", "none")
+_OF_TORQUE = ' (a torque of 1 N m makes 2 pi / lead newtons, lead in m: "628.3 N" at 10 mm)'
+_EXAMPLES = {"time": "ms", "temperature": "degC"}  # of units, where counts are none
 
 
 class Conversion(NamedTuple):
@@ -59,9 +61,15 @@ def conversion(channel: str, text: str, force_per: dict[str, float]) -> Conversi
             raise ValueError(f"a {channel} in {text.strip()} needs {key} in [units], such as {key} = 35.2 (N/{source})")
         return Conversion(factor * force_per[source])
     raise ValueError(
-        f"'{text}' is no unit of the {channel}: write one that converts to {unit}, or what one count of the column is, "
-        f"such as '0.05 {unit}'"
+        f"'{text}' is no unit of the {channel}: write one that converts to {unit}, or what one unit of the column is, "
+        f"such as {unit_example(channel)}"
     )
+
+
+def unit_example(channel: str) -> str:
+    """What to write where one unit of a column is no unit of its channel, in quotes as a drive file has it."""
+    example = _EXAMPLES.get(channel, f"0.05 {READABLE[channel].unit}")
+    return f'"{example}"{_OF_TORQUE if channel in FORCES else ""}'
 
 
 def is_unit_of(channel: str, text: str) -> bool:

@@ -9,14 +9,11 @@ import numpy as np
 from diffdrive.errors import LogError
 from diffdrive.logs.clocks.channel_clocks import align_channel_clocks
 from diffdrive.logs.clocks.stamps import counts_from_first, seconds_from_text
-from diffdrive.logs.column_unit import FORCES, Conversion, is_unit_of, split_unit
+from diffdrive.logs.column_unit import FORCES, Conversion, is_unit_of, split_unit, unit_example
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import READABLE
 from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.support.messages import quoted_names
-
-_OF_TORQUE = ' (a torque of 1 N m makes 2 pi / lead newtons, lead in m: "628.3 N" at 10 mm)'
-_EXAMPLES = {"time": "ms", "temperature": "degC"}  # of units, where counts are none
 
 
 def select(table: Table, mapping: ColumnMapping) -> tuple[dict[str, np.ndarray], Conversion, list[str]]:
@@ -162,8 +159,7 @@ def _conversion(table: Table, mapping: ColumnMapping, channel: str, column: str)
             return mapping.conversion(channel, file_unit, where), []
         raise LogError(
             f"{where}: '{file_unit}' is no unit of the {channel}; correct the file's header, or write what one unit of "
-            f'the column is, such as [units] {channel} = "{_EXAMPLES.get(channel, f"0.05 {READABLE[channel].unit}")}"'
-            f"{_OF_TORQUE if channel in FORCES else ''}"
+            f"the column is, such as [units] {channel} = {unit_example(channel)}"
         )
     chosen = mapping.conversion(channel, mapped_unit, where)
     try:

@@ -200,13 +200,17 @@ BAD_MAPPINGS = {
         lambda: ColumnMapping(units={"command": "mm"}),
         r"\[units\] command: 'mm' is no unit of the command",
     ),
+    "torque": (
+        lambda: ColumnMapping(units={"command": "N*m"}),
+        r"no unit of the command: .* such as \"0\.05 N\" \(a torque of 1 N m makes 2 pi / lead newtons",
+    ),
     "force in m": (
         lambda: ColumnMapping(units={"position": "N"}),
         r"\[units\] position: 'N' is no unit of the position",
     ),
     "counts": (
         lambda: ColumnMapping(units={"position": "counts"}),
-        "what one count of the column is, such as '0.05 m'",
+        'what one unit of the column is, such as "0.05 m"$',
     ),
     "angle": (lambda: ColumnMapping(units={"position": "deg"}), "'deg' is no unit of the position"),
     "zero": (lambda: ColumnMapping(units={"position": "0 mm"}), "'0 mm' is zero"),
