@@ -68,7 +68,7 @@ def report_tuning(report: Report, result: TuningResult) -> None:
         verification_table(report, result.runs)
         first(verdict(result.search, result.runs))
     report.figure("tuning", tuning_figure(result.search, list(result.runs), result.plan))
-    if noisy := noise_warning(result.setup, result.runs):
+    if noisy := noise_warning(result.setup, result.search, result.runs):
         report.say(noisy)
     report.keep("verdict", accepted=result.accepted)
     if not result.accepted or report.out is None:

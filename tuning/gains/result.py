@@ -119,7 +119,7 @@ def tuning_result(
 ) -> TuningResult:
     """The result, with what is to be said of it."""
     accepted = is_accepted(tuned, runs)
-    notes = [*prepared.notes, *(note for note in [noise_warning(prepared, runs)] if note), *remarks(tuned)]
+    notes = [*prepared.notes, *(note for note in [noise_warning(prepared, tuned, runs)] if note), *remarks(tuned)]
     notes += [BELIEVED] if prepared.friction else []
     bad = [f"{run.scenario.name}: {run.after.run.status.message}" for run in runs if not run.after.run.status.ok]
     gains = {
