@@ -25,7 +25,7 @@ UNITS = {
 KEYS = {"Ns_per_m": "N s/m", "N_per_m": "N/m", "m_per_s": "m/s", "mm_per_s": "mm/s", "per_s": "1/s"}  # as keys end
 SHORT = ("m", "s", "V")  # units that are a unit only at the end of a heading
 WORDS = {"+-": "±", "rms": "RMS"}
-MICROMETRE = re.compile(r"(?<![\w.:=,+-])(?:(?<=\d )|(?<=\()|(?<=, )|(?<=[a-z] )|(?<=1/)|^)um\b(?!=)")
+MICROMETRE = re.compile(r"(?<![\w.:=,+-])(?:(?<=[\d)] )|(?<=\()|(?<=, )|(?<=[a-z] )|(?<=1/)|^)um\b(?!=)")
 
 
 def readable(text: str) -> str:

@@ -53,7 +53,9 @@ def test_what_is_for_a_command_line_stays_as_it_is(text):
     assert readable.readable(text) == text
 
 
-@pytest.mark.parametrize("text", ["0.3 um of error", "log, um RMS", "density, 1/um", "3 (um)"])
+@pytest.mark.parametrize(
+    "text", ["0.3 um of error", "log, um RMS", "density, 1/um", "3 (um)", "22.8 (22.7 to 22.9) um"]
+)
 def test_micrometres_are_written_as_people_write_them(text):
     assert "µm" in readable.readable(text)
 
