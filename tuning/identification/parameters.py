@@ -10,6 +10,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import Directional, node_at
 from diffdrive.numerics.arrays import Scalar
+from diffdrive.support.messages import suggestion
 from tuning.identification.unknowns import Unknowns
 
 SIDES = (".positive", ".negative")
@@ -61,7 +62,7 @@ def parameter_called(text: str, known: Collection[str], refusal: str) -> Identif
     for name in known:
         if text in (name, BOUNDABLE[name].path):
             return BOUNDABLE[name]
-    raise ParameterError(f"{refusal}; known: {', '.join(known)}")
+    raise ParameterError(f"{refusal}; {suggestion(without_side(text).rpartition('.')[2], known)}")
 
 
 def without_side(path: str) -> str:

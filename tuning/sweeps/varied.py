@@ -156,8 +156,9 @@ def parse_varied(
                 f"vary: '{name}' is no setting that {'every motion' if of == 'motion' else 'the load over time'} has "
                 f"as one number; those that may vary are {there}"
             )
-        near = difflib.get_close_matches(name, known, 3) or ["plant.mass", "friction.viscous", "load"]
-        raise ParameterError(f"vary: '{name}' is no quantity of this drive; near it are {', '.join(near)}")
+        near = difflib.get_close_matches(name, known, 3)
+        hint = f"near it are {', '.join(near)}" if near else "such are plant.mass, friction.viscous, load"
+        raise ParameterError(f"vary: '{name}' is no quantity of this drive; {hint}")
     unit, label = known[name].unit, f"vary {name}"
     if kind not in KINDS:
         kinds = "; ".join(f"{key}:{what}" for key, what in KINDS.items())

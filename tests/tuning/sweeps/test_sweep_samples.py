@@ -84,6 +84,7 @@ def test_no_machine_lies_beyond_four_deviations_and_within_they_are_normal():
     ("text", "says"),
     [
         ("plant.mas=normal:2%", "no quantity of this drive; near it are plant.mass"),
+        ("weight=normal:2%", "no quantity of this drive; such are plant.mass"),
         ("plant.mass", "no quantity|no distribution"),
         ("load=normal:2%", "zero, to be relative to: give all numbers in N"),
         ("plant.constant_force=lognormal:2%", "zero, to be relative to"),
