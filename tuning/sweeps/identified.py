@@ -55,7 +55,7 @@ def _distribution(one: ParameterEstimate, deviation: float) -> str:
     unit = "" if one.unit == "1" else f" {one.unit}"
     if parameter_at(one.path).is_signed or one.value <= 0.0:
         return f"normal:{one.value:.10g}{unit}..{deviation:.6g}{unit}"
-    # beyond that nothing was told of it but that it is positive, and a sweep takes no wider one
+    # beyond that nothing is known of it but that it is positive, and a sweep takes no wider one
     return f"lognormal:{one.value:.10g}{unit}..{100.0 * min(deviation / one.value, MAX_LOG_DEVIATION):.6g}%"
 
 
@@ -67,11 +67,13 @@ def write_uncertainty(folder: Path, found: Identification) -> None:
 def read_uncertainty(path: Path) -> Uncertainty:
     """What an identification left open: its file uncertainty.toml."""
     tables = read_toml(path, ParameterError, "`diffdrive identify --out FOLDER` writes it")
+    if "vary" not in tables:
+        raise ParameterError(f"{path}: is no uncertainty.toml of an identification: it has no table [vary]")
     try:
         correlations = cast(Correlation, tables.get("correlation", {}))
         return Uncertainty(
             {name: str(text) for name, text in cast(Mapping[str, str], tables["vary"]).items()},
             {quantity: {other: float(value) for other, value in of.items()} for quantity, of in correlations.items()},
         )
-    except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as problem:
+    except (AttributeError, TypeError, ValueError, OverflowError) as problem:
         raise ParameterError(f"{path}: is no uncertainty.toml of an identification: {problem}") from None
