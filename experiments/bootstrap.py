@@ -194,7 +194,7 @@ def install(extras: list[str]) -> str:
 
 
 def build(extras: list[str]) -> None:
-    """Make .venv anew with the newest Python that can; each one that cannot is named."""
+    """Make .venv again with the newest Python that can; each one that cannot is named."""
     failed, tails = set(), []
     for python in usable_pythons(candidate_paths()):
         kind = (python.version[:2], python.machine)
@@ -215,7 +215,7 @@ def build(extras: list[str]) -> None:
 
 
 def prepare(extras: list[str]) -> None:
-    """Bring .venv to the state that the job needs: as it is, or updated in place, or anew."""
+    """Bring .venv to the state that the job needs: as it is, updated in place, or new."""
     stamp = read_stamp()
     python = probe(str(VENV_PYTHON)) if stamp.get("ready") and stamp["root"] == str(ROOT) else None
     usable = python and list(python.version) == stamp["python"] and VENV_DIFFDRIVE.exists()

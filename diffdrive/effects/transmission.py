@@ -195,7 +195,7 @@ def step_screw_with_sensitivities(
 ) -> tuple[MotorState, Acts, tuple[Sensitivity, ...]]:
     """`step_screw`, and its sensitivities to the table's velocity and bristle, the motor's deflection and its rate.
 
-    One loop carries all of them; the derivative of the loop would run it anew for each.
+    One loop carries all of them; the derivative of the loop would run it again for each.
     """
     substeps = _discretised(screw, motor, seen, drive, period)
 

@@ -3,7 +3,7 @@
     response on a grid -> cubics between -> the critical frequencies -> response there -> margins
 
 The critical frequencies come from cubics through the grid's values and slopes in the logarithm of frequency. There the
-response is computed anew, with its derivative in every gain, and one Newton step follows each crossing as the gains
+response is computed again, with its derivative in every gain, and one Newton step follows each crossing as the gains
 move it. A margin that does not exist (no crossing) is infinite, and its derivative zero.
 """
 

@@ -57,7 +57,7 @@ def _plant_under_load(drive: Drive, load: Scalar, step: Scalar) -> _PlantUnderLo
     def total_resistance(viscous: Scalar, damping: Scalar) -> Scalar:
         return 1.0 + (viscous + damping) * mobility
 
-    # behind a barrier, or the compiler computes them anew in each substep
+    # behind a barrier, or the compiler computes them again in each substep
     return once(
         _PlantUnderLoad(
             friction=friction,
@@ -90,7 +90,7 @@ class _Balance(NamedTuple):
 def _balance(plant: _PlantUnderLoad, friction_velocity: Scalar, deflection: Scalar) -> _Balance:
     """With the friction coefficients taken at velocity `slip`."""
     stiffness, damping = plant.stiffness.towards(deflection), plant.damping.towards(friction_velocity)
-    # barriers between the stages: without them the compiler computes a value anew for each of its readers
+    # barriers between the stages: without them the compiler computes a value again for each of its readers
     level, scaled_stiffness = once(
         (
             nan_unless_positive(plant.friction.level(friction_velocity)),
@@ -193,7 +193,7 @@ def advance_with_tangents(
 ) -> tuple[PlantState, list[PlantState]]:
     """`advance`, and its derivatives along each of some directions of state and force.
 
-    All tangents are carried through one loop; the derivative of the loop would run it anew for each direction.
+    All tangents are carried through one loop; the derivative of the loop would run it again for each direction.
     """
     plant = _plant_under_load(drive, load, period / substeps)
     push = plant.mobility * (force + drive.plant.constant_force)

@@ -72,7 +72,7 @@ def _cosh_sinh(mean_rate: Scalar, discriminant: Scalar, determinant: Scalar, tim
     fast = mean_rate * time + jnp.where(is_real, root, 0.0)
     slow_or_mean = exp_neg(jnp.where(is_real, determinant * time**2 / fast, mean_rate * time))
     fast_end = exp_neg(fast)
-    # cosh and sinh each read them, and would compute them anew
+    # cosh and sinh each read them, and would compute them again
     slow_or_mean, fast_end = once((slow_or_mean, fast_end))
     # the rest: half the angle, or q itself, into the series; then double once
     angle = jnp.where(is_complex, root - 2 * jnp.pi * jnp.round(root * (0.5 / jnp.pi)), 0.0)

@@ -1,4 +1,4 @@
-"""A value that several operations read is computed once, not anew for each of them."""
+"""A value that several operations read is computed once, not again for each of them."""
 
 from typing import TypeVar
 

@@ -181,7 +181,7 @@ class KalmanObserver(FrictionObserver):
         covariance = kalman.update_covariance(covariance, gain, self.tuning.measurement)
 
         predicted_friction = estimated_friction(self.friction, predicted, state.load)
-        # without this barrier the compiler computes a value anew for each of its readers (docs/method/numerics.md)
+        # without this barrier the compiler computes a value again for each of its readers (docs/method/numerics.md)
         updated, covariance, predicted_friction = once((updated, covariance, predicted_friction))
         updated_friction = once(estimated_friction(self.friction, updated, state.load))
         load = self.load_estimator.step(state.load, velocity, predicted_friction, updated_friction)

@@ -52,8 +52,8 @@ def _declared(field: griffe.Attribute) -> str:
     given = {one.arg: ast.unparse(one.value) for one in call.keywords}
     default = "0.0" if call.func.id == "amplitude" else given.get("usual", given.get("default"))  # type: ignore[attr-defined]
     unit, meaning = texts[0], texts[1]
-    told = f"{meaning[0].upper()}{meaning[1:]}{f' ({unit})' if unit not in ('', '1') else ''}"
-    return f"{told}; default {default}." if default not in (None, "None") else f"{told}."
+    text = f"{meaning[0].upper()}{meaning[1:]}{f' ({unit})' if unit not in ('', '1') else ''}"
+    return f"{text}; default {default}." if default not in (None, "None") else f"{text}."
 
 
 def _commented(field: griffe.Attribute) -> str:

@@ -1,4 +1,4 @@
-"""Nyquist and Bode diagrams of a loop at its operating points, beside the margins asked of it.
+"""Nyquist and Bode diagrams of a loop at its operating points, beside the margins required of it.
 
 Each function takes its panels by title, each a mapping from a label to a response: {"before": {...}, "after": {...}}
 draws the two side by side. The gain of the loop is |L| throughout, its phase that of L under negative feedback.

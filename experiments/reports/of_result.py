@@ -26,7 +26,7 @@ from tuning.sweeps.result import SweepResult
 
 
 def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:
-    """Write everything that a result tells into a folder, and return it.
+    """Write everything that a result says into a folder, and return it.
 
     The result as JSON, its tables as CSV, its figures as PNG, and what other tools take: `run.csv` of a simulation,
     `identified.toml`, `tuned.toml`, and of a diagnosis `augmented.toml` and the page `report.html`. A result of your

@@ -109,7 +109,7 @@ class Report:
                 self._folder.close()
 
     def _hold(self) -> None:
-        """Keep room on the disk for what result.json holds by now: a disk that fills up is told there, too."""
+        """Keep room on the disk for what result.json holds by now: a disk that fills up is reported there, too."""
         if self._folder is not None:
             self._folder.hold(len(self._stopped(NO_ROOM)))
 

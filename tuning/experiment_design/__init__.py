@@ -1,1 +1,1 @@
-"""Which motion would tell what the logs leave open."""
+"""Which motion would determine what the logs leave open."""

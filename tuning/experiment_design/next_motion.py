@@ -1,7 +1,7 @@
 """Which motion would determine what these logs leave open.
 
 Each candidate is simulated on the drive as identified, through its controller, and differentiated with respect to every
-unknown along its filtered prediction. Its Fisher information, added to that of the logs at hand, tells how sharply each
+unknown along its filtered prediction. Its Fisher information, added to that of the logs at hand, gives how sharply each
 open parameter would be known; for each the sharpest candidate is named.
 """
 

@@ -62,7 +62,7 @@ class Requirements:
     hold in every scenario. A number is in N; `AsGiven(2.0)` is twice the largest noise of the gains as given, and for
     the load error twice theirs, scenario by scenario.
 
-    A default that means nothing for an axis does not apply: what is asked of a load estimate where there is none, and
+    A default that means nothing for an axis does not apply: a limit of a load estimate where there is none, and
     what is relative to gains with which the loop diverges. Any other value is refused there, since nothing would check
     it.
 

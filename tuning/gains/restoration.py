@@ -1,4 +1,4 @@
-"""An unstable start led to where the loop is stable: by the linearised loop alone, as simulations may diverge."""
+"""An unstable start, moved to where the loop is stable: by the linearised loop alone, as simulations may diverge."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -73,7 +73,7 @@ def set_up(
 def _require_shown(
     controller: Controller, signals: EnsembleSignals, requirements: Requirements, objective: Objective
 ) -> None:
-    """Raise `ParameterError` for what is asked for and cannot be seen of this controller: it would count as kept."""
+    """Raise `ParameterError` for a requirement that cannot be judged of this controller: it would count as kept."""
     if requirements.states("load_error"):
         signals.require_load_error("requirements")
     if objective.load_error:

@@ -154,7 +154,7 @@ def tune(
     """Tune `controller` over `scenarios` within `requirements`; verify the result on the exact simulator.
 
     The first start is the controller as given, the others are drawn about it: the landscape has several valleys of
-    nearly the same depth (docs/method/tuning.md). An unstable start is first led to where the loop is stable. From the
+    nearly the same depth (docs/method/tuning.md). An unstable start first goes to where the loop is stable. From the
     folder `resume` the search goes on there where it was stopped, by a kill or by Ctrl-C, and takes the same steps as
     if it had not been. Raises `ParameterError` for parameters out of bounds and `CheckpointError` for a folder with the
     checkpoint of another problem.

@@ -60,7 +60,7 @@ def tune(
         throw: Raise an error where the result is not accepted.
 
     Raises:
-        ParameterError: What is asked for cannot be tuned, kept by any loop, or seen of this controller.
+        ParameterError: What is required cannot be tuned, kept by any loop, or judged of this controller.
         MotionError: The motion leaves the axis's limits.
         CheckpointError: What is in the folder `resume` is of another call.
         ResultError: The result is not accepted, with `throw`.

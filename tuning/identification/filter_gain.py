@@ -3,7 +3,7 @@
 It carries the covariance of position, velocity and bristle with the exact derivative of one control period, so that its
 gains rise where the falling Stribeck curve makes the motion unstable and vanish where the table rests. What the model
 lacks is a white force on the table of `process` N (standard deviation per control period); how large it is, the
-likelihood of the innovations tells: nothing for an exact model, newtons for a machine.
+likelihood of the innovations shows: nothing for an exact model, newtons for a machine.
 """
 
 from collections.abc import Callable

@@ -37,7 +37,7 @@ INITIAL_WINDOW = 5e-3  # s, and PAST samples at least: through so much the parab
 
 
 class ReplayInputs(NamedTuple):
-    """What a replay is given: the pieces of logs side by side, the reference of each, and what led up to them."""
+    """What a replay is given: the pieces of logs side by side, the reference of each, and what came before them."""
 
     lanes: Lanes  # `velocity` is that of the parabola through the first samples
     reference: Reference  # [lanes, n] each

@@ -14,7 +14,7 @@ def initial_drive(drive: Drive, result: InverseDynamics) -> tuple[Drive, tuple[s
     """`drive` with the mass, constant force, Coulomb and viscous friction of `result`, and notes on what it kept.
 
     The Coulomb friction goes into `coulomb_screw`, so that F_C under the applied load of the logs is as identified;
-    `load_coefficient` changes only if the logs tell it. The viscous friction gets what `plant.damping` leaves of the
+    `load_coefficient` changes only if the logs show it. The viscous friction gets what `plant.damping` leaves of the
     total. A value that is not positive, or not two standard errors from zero, stays as it is in `drive`.
     """
     notes: list[str] = []
@@ -88,7 +88,7 @@ def _side(drive: Drive, result: InverseDynamics, side: str, notes: list[str]) ->
 
 
 def _determined_value(result: InverseDynamics, name: str, side: str = "") -> tuple[float, str]:
-    """A parameter's value (NaN if the logs do not tell it), and why it is not to be used, or an empty reason."""
+    """A parameter's value (NaN if the logs do not determine it), and why it is not to be used, or an empty reason."""
     key = name if name in result.values else f"{name}.{side}"
     value = result.values.get(key, float("nan"))
     if value != value:

@@ -1,4 +1,4 @@
-"""What is asked of the logs: which parameters are free, within which bounds, and where the search starts."""
+"""The problem of an identification: which parameters are free, within which bounds, and where the search starts."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ ROUGH_BANDWIDTH, FASTER = 200.0, 3.0  # rad/s at least, and times the growth on 
 
 
 class IdentificationSetup(NamedTuple):
-    """A problem, the parameters that are free in it, the measuring noise, and what the logs cannot even be asked."""
+    """A problem, the parameters that are free in it, the measuring noise, and what the logs do not excite."""
 
     problem: IdentificationProblem
     free: tuple[FreeParameter, ...]

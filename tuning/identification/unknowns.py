@@ -1,7 +1,7 @@
 """What identification looks for, in coordinates in which every value is possible and the data speak plainly.
 
-Friction at no applied load is told by its levels, Coulomb F_C and breakaway F_S, which the force shows directly; a
-drive file tells the screw's share and the gap F_S - F_C, which follow from them. Of damping and viscous friction only
+Friction at no applied load is stated by its levels, Coulomb F_C and breakaway F_S, which the force shows directly; a
+drive file states the screw's share and the gap F_S - F_C, which follow from them. Of damping and viscous friction only
 the sum acts. So a drive becomes `Unknowns`, these are fitted, and they become a drive again.
 """
 

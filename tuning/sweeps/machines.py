@@ -29,7 +29,7 @@ def machines(
 ) -> tuple[Drive, Ramp, Values]:
     """A drive whose varied leaves are arrays over the machines, their loads, and the values of what varies.
 
-    A quantity per direction is told by its value in positive direction. Raises `ParameterError` for values that no
+    A quantity per direction is reported by its value in positive direction. Raises `ParameterError` for values that no
     drive may have.
     """
     names = {quantity.name.split(".")[1] for quantity in varied if quantity.name.startswith("effects.")}

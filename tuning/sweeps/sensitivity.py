@@ -61,7 +61,7 @@ def influences_on_event(
 ) -> list[Influence]:
     """Every quantity's on whether something happened to a machine, as `influences`.
 
-    Where that is rare (or the rule), no interval of the shares can be told (NaN): `chance` can, by a rank test of where
+    Where that is rare (or the rule), the shares have no interval (NaN), but a `chance`: that of a rank test of where
     the events lie (Mann and Whitney 1947), paid for by how many quantities are looked at.
     """
     rare = min(np.sum(happened), np.sum(~happened)) < MIN_EVENTS

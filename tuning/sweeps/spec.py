@@ -1,4 +1,4 @@
-"""A sweep as it is asked for, and the same as text: its folder keeps it, workers get it, `replay` begins from it."""
+"""A sweep as it was stated, and the same as text: its folder keeps it, workers get it, `replay` begins from it."""
 
 import dataclasses
 import json

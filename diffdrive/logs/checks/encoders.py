@@ -51,7 +51,7 @@ def _lost_motion(comparison: EncoderComparison) -> Iterator[Finding]:
         message += f": lost motion, {in_words(backlash, 1e6)} um of it backlash whatever the force"
         yield Finding("warning", "motor_position", message, MEND_PLAY, "lost motion")
     elif comparison.may_be_all_backlash:
-        message += ": lost motion, backlash or wind-up under friction, which this log does not tell apart"
+        message += ": lost motion, backlash or wind-up under friction, which this log does not separate"
         yield Finding("warning", "motor_position", message, MEND_PLAY, "lost motion")
     else:
         message += f": wind-up of the screw under friction, with no more than {1e6 * backlash.high:.3g} um of backlash"
@@ -59,12 +59,12 @@ def _lost_motion(comparison: EncoderComparison) -> Iterator[Finding]:
 
 
 def _screw(comparison: EncoderComparison) -> Iterator[Finding]:
-    told = [text for text, _ in comparison.kinematics()]
-    if told:
+    errors = [text for text, _ in comparison.kinematics()]
+    if errors:
         yield Finding(
             "note",
             "motor_position",
-            f"motor against table: {', '.join(told)}",
+            f"motor against table: {', '.join(errors)}",
             "compensate them in the control, or state the first two in the drive file as [effects.lead_error]",
             "screw",
         )

@@ -100,7 +100,7 @@ def load(log: Log, axis: Axis | None) -> Iterator[Finding]:
 
 
 def temperature(log: Log) -> Iterator[Finding]:
-    """Kelvin given as degrees Celsius: Fahrenheit is too near to them to be told."""
+    """Kelvin given as degrees Celsius: Fahrenheit is too near to them to be distinguished."""
     if log.temperature is None:
         return
     median = float(np.median(log.temperature))

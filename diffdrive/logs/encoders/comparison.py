@@ -6,7 +6,7 @@ While the table slides and the screw pushes it, at position x, velocity v, accel
 
 where B is the reversal error (backlash and wind-up under friction), e the linear error, A that of each turn, r the
 drift and T the time between the encoders' readings (with the wind-up under viscous friction). The force in the
-reversals tells backlash and wind-up apart (`split`).
+reversals separates backlash from wind-up (`split`).
 """
 
 from collections.abc import Mapping
@@ -26,9 +26,9 @@ from diffdrive.logs.encoders.regression import LEVEL, Estimate, Regression, inte
 from diffdrive.logs.encoders.result import ComparedSamples, EncoderComparison, Place, Reversal
 from diffdrive.logs.log import Log
 
-PLACES = 10  # stretches of the stroke whose reversal error is told
+PLACES = 10  # stretches of the stroke whose reversal error is reported
 FEWEST = 50  # samples that slide
-FEWEST_PASSES = 6  # two more than what their differences tell: zero, reversal error, its change, drift
+FEWEST_PASSES = 6  # two more than what their differences show: zero, reversal error, its change, drift
 
 Columns = Mapping[str, Float[np.ndarray, " n"]]
 
@@ -56,7 +56,7 @@ def compare_encoders(log: Log, axis: Axis | None = None) -> EncoderComparison:
 
     Motor and table must be in metres and of one sign. The reversal error (lost motion) is what ISO 230-2 calls reversal
     value, here of the motor against the table. How much of it is backlash and how much wind-up of the screw under
-    friction is said as far as the force in the reversals tells; its interval may be as wide as the reversal error
+    friction is said as far as the force in the reversals shows it; its interval may be as wide as the reversal error
     itself.
 
     Args:
@@ -102,7 +102,7 @@ def _columns(samples: _Samples) -> dict[str, Float[np.ndarray, " n"]]:
         "drift": samples.time - float(np.mean(samples.time[used])),
         "change": passes.direction * position,
     }
-    if len(np.unique(passes.number[used])) < FEWEST_PASSES:  # too few to tell these from their scatter
+    if len(np.unique(passes.number[used])) < FEWEST_PASSES:  # too few to distinguish these from their scatter
         del columns["drift"], columns["change"]
     return columns
 
@@ -164,7 +164,7 @@ def _compared(log: Log, axis: Axis | None, samples: _Samples) -> EncoderComparis
 
 
 def _resolution(log: Log, axis: Axis | None) -> float:
-    """What the coarser encoder tells apart (m): its step, stated or found, or the standard deviation of its noise."""
+    """What the coarser encoder distinguishes (m): its step, stated or found, or the standard deviation of its noise."""
     assert log.motor_position is not None
     stated = None if axis is None else axis.drive.sensor.resolution
     sizes = [0.0 if stated is None else float(stated)]

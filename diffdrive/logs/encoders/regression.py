@@ -22,7 +22,7 @@ _ITERATIONS, _ROUNDS = 15, 3  # of Huber's weights; of the variances
 # A column of which the others leave less than this share of its norm is determined by them.
 _NEW = 1e-3
 _MOST_SHARE = 0.5  # of a coefficient's information, for which one pass is corrected
-BETWEEN = ("zero", "direction", "drift", "change")  # columns that only the differences of passes tell
+BETWEEN = ("zero", "direction", "drift", "change")  # columns that only the differences of passes show
 
 
 class Estimate(NamedTuple):

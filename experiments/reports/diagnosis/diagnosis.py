@@ -130,7 +130,7 @@ def _save(report: Report, result: DiagnosisResult, augmented: str | None) -> Non
 def _pay(
     report: Report, details: Details, description: Axis, augmented: str | None, max_load: float
 ) -> dict[str, object]:
-    """Tune on both drives; what that tells, in words and, if there was something to tune on, each gains' numbers."""
+    """Tune on both drives; what that shows, in words and, if there was something to tune on, each gains' numbers."""
     assert report.out is not None
     gains: dict[str, GainFigures] = {}
     if not details["ladder"][2:]:

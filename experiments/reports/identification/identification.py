@@ -1,4 +1,4 @@
-"""`diffdrive identify`: the drive that logs tell, how sure each parameter is, and whether the model suffices."""
+"""`diffdrive identify`: the drive that logs show, how sure each parameter is, and whether the model suffices."""
 
 from collections.abc import Sequence
 from functools import partial

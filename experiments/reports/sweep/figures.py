@@ -69,7 +69,7 @@ def exceedance_figure(groups: Sequence[Group], tolerance: float | None, by: str)
 def error_against(groups: Sequence[Group], name: str, unit: str, tolerance: float | None, by: str) -> "Figure":
     """The error over a quantity that varies: each machine, and median and 95 % of a slice of them.
 
-    Machines that diverged are crosses at the upper edge; a line ends where what it tells of is infinite.
+    Machines that diverged are crosses at the upper edge; a line ends where its error is infinite.
     """
     figure, axis = new_figure(width=8.0, height=4.0)
     start, _ = _ends(groups, tolerance, by)  # where machines without any error are drawn

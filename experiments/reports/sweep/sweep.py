@@ -1,4 +1,4 @@
-"""`diffdrive sweep` and `diffdrive replay`: a sweep run, told and drawn; and one of its machines again."""
+"""`diffdrive sweep` and `diffdrive replay`: a sweep run, reported and drawn; and one of its machines again."""
 
 from collections.abc import Sequence
 from pathlib import Path

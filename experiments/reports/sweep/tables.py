@@ -221,7 +221,7 @@ def _blame(report: Report, plan: SweepPlan, found: Sequence[GroupInfluences], by
 
 
 def _blame_for_divergence(report: Report, plan: SweepPlan, found: Sequence[Group]) -> None:
-    """Machines that diverged have no share in the errors' spread: what decides over that is told apart."""
+    """Machines that diverged have no share in the errors' spread: what decides over that is a table of its own."""
     rows = []
     for one in found:
         if not one.diverged.any():

@@ -1,1 +1,1 @@
-"""The withheld-effect check: machines with an effect that the diagnosis is not told, and how often it names it."""
+"""The withheld-effect check: machines with an effect that is hidden from the diagnosis, and how often it names it."""

@@ -44,7 +44,7 @@ def log_uniform(rng: np.random.Generator, ends: tuple[float, float]) -> float:
 
 
 def _phases(rng: np.random.Generator) -> tuple[float, float]:
-    """One for each log: homed anew."""
+    """One for each log: homed again."""
     return float(rng.uniform(0, 2 * np.pi)), float(rng.uniform(0, 2 * np.pi))
 
 
