@@ -32,6 +32,7 @@ def check(
     unit: Units = None,
     shift: Shifts = None,
     load: Loads = None,
+    svg: Svg = False,
 ) -> None:
     """Check logs before use: channels, units, repairs, and faults that would bias a fit.
 

@@ -138,6 +138,7 @@ def bench(
         ),
     ] = None,
     out: Out = None,
+    svg: Svg = False,
 ) -> None:
     """How fast is the loop on this machine? Ratios in one run, beside the same step written in C and in numba.
 

@@ -17,11 +17,11 @@ from tests.support.sound_log import DRIVE, RATE, SOUND, delayed, replaced
 def checked(tmp_path):
     """Exit code and result of a look at a log."""
 
-    def check(log):
+    def check(log, *options):
         write_axis(tmp_path / "drive.toml", DRIVE)
         write_log(tmp_path / "lap.csv", log)
         given = [str(tmp_path / one) for one in ("lap.csv", "drive.toml", "out")]
-        found = CliRunner().invoke(app, ["check", given[0], "--drive", given[1], "--out", given[2]])
+        found = CliRunner().invoke(app, ["check", given[0], "--drive", given[1], "--out", given[2], *options])
         return found.exit_code, json.loads((tmp_path / "out" / "result.json").read_text())
 
     return check
@@ -71,7 +71,7 @@ def test_a_fatal_finding_is_named_with_its_mend_and_ends_with_3(checked):
 def test_two_encoders_have_a_table_and_a_picture(checked, tmp_path):
     """The motor 40 um ahead of the table in either direction: 80 um of lost motion."""
     turned = np.where(np.gradient(SOUND.position) < 0.0, -1.0, 1.0)
-    code, told = checked(replaced(motor_position=SOUND.position + 40e-6 * turned))
+    code, told = checked(replaced(motor_position=SOUND.position + 40e-6 * turned), "--svg")
     assert code == 0
     rows = {row[1]: row[2:] for row in told["tables"]["encoders"]["rows"]}
     value, low, high, unit = rows["reversal error"]
@@ -79,4 +79,5 @@ def test_two_encoders_have_a_table_and_a_picture(checked, tmp_path):
     assert low <= value <= high
     assert (tmp_path / "out" / "encoders.csv").exists()
     assert (tmp_path / "out" / "encoders.png").exists()
+    assert (tmp_path / "out" / "encoders.svg").exists()
     assert any("lost motion" in row[3] for row in told["tables"]["findings"]["rows"])
