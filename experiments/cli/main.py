@@ -40,9 +40,10 @@ def everywhere(
         bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    """Simulate, tune and check a machine-tool feed drive with friction compensation.
+    """Simulate, tune, identify and diagnose a machine-tool feed drive.
 
-    Start with `diffdrive demo`; then `diffdrive template > drive.toml`, edit it, `diffdrive simulate drive.toml`.
+    Start with `diffdrive demo`; then `diffdrive template > drive.toml`, edit it, `diffdrive simulate drive.toml`. With
+    a log of your machine: `diffdrive check lap.csv --drive drive.toml`, then `identify` and `diagnose`.
     """
 
 

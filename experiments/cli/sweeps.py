@@ -30,7 +30,11 @@ def sweep(
         ),
     ] = None,
     spread: Annotated[
-        str | None, typer.Option(help="Relative deviation of all plant and friction parameters that --vary leaves.")
+        str | None,
+        typer.Option(
+            help="Relative deviation of all plant and friction parameters that --vary leaves; by default 2% where "
+            "nothing else varies."
+        ),
     ] = None,
     identified: Annotated[
         Path | None,
