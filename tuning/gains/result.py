@@ -149,7 +149,7 @@ def remarks(tuned: GainSearch) -> list[str]:
     """What stood in the way of better gains."""
     found = [f"At the bound of its range: {', '.join(tuned.at_bound)}."] if tuned.at_bound else []
     found += [
-        f"Held back by the {requirement.name}: 1 % more of it would gain {requirement.gain:.2g} % of the objective."
+        f"Held back by the {requirement.name}: relaxing it by 1 % would gain {requirement.gain:.2g} % of the objective."
         for requirement in tuned.binding
     ]
     mend = "no gains near these keep it: relax it" if tuned.best.state.infeasible else "search on"
