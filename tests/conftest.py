@@ -8,6 +8,7 @@ from hypothesis import settings
 from diffdrive.runtime import configure
 
 configure()  # which keeps what is compiled from run to run: half of the tests' time is compilation
+gc.disable()  # a tenth of the time of tracing goes into looking for cycles; `bounded_memory` does it where it pays
 
 # the first example of a test pays for compilation: no deadline
 settings.register_profile("compiled", deadline=None)

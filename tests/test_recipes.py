@@ -154,6 +154,7 @@ def test_a_controller_is_simulated_written_and_swept(shop, tmp_path):
     assert len(found.frame) == 16
 
 
+@pytest.mark.long
 def test_a_controller_is_linearised(shop):
     """Without a motion of the reference its loop is that of PD."""
     pd = AXIS.with_controller(PD(Tracking(PDGains(*AXIS.gains.values()))))

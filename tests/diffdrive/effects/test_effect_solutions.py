@@ -120,6 +120,7 @@ def test_the_friction_recorded_is_that_which_acts():
     assert np.sqrt(np.mean(off[fastest] ** 2)) < 5.0  # that of a machine without the wave is off by 95 N
 
 
+@pytest.mark.long
 def test_a_lag_turns_the_loop_as_its_transfer_function_does():
     drive = dataclasses.replace(DRIVE, actuator=dataclasses.replace(DRIVE.actuator, delay_samples=1))
     lag = ActuatorLag(8e-4)
@@ -135,6 +136,7 @@ def test_a_lag_turns_the_loop_as_its_transfer_function_does():
     np.testing.assert_allclose(turned / plain, (1.0 - c) + c * (1.0 - fade) / (z - fade), rtol=1e-6)
 
 
+@pytest.mark.long
 def test_age_grows_at_rest_and_is_forgotten_over_a_slip():
     dwell = FrictionDwell(1.0, 0.1, 1e-5)
     drive, age = as_arrays(DRIVE), jnp.zeros(())

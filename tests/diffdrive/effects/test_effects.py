@@ -113,6 +113,7 @@ def test_at_work_it_moves_the_table(effect):
     assert float(jnp.max(jnp.abs(frames(with_effects(effect)).measured - frames(DRIVE).measured))) > 1e-8
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("effect", AT_WORK, ids=IDS)
 def test_derivatives_are_those_of_differences(effect):
     machine = as_arrays(smooth(with_effects(effect)))

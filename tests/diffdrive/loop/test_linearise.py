@@ -128,6 +128,7 @@ def recursion(loop, gain, kick, steps):
     return np.array(asked)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "delay"),
     [("DOBVSC", ONE_SAMPLE), ("PD+FC+LS", ONE_SAMPLE), ("PD", FRACTIONAL), ("cascade", FRACTIONAL)],
@@ -177,6 +178,7 @@ def test_pd_loop_is_the_one_derived_by_hand(point):
     assert np.max(np.abs(default / expected - 1.0)[FREQUENCY < 500.0]) < 1e-3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [pytest.param(one, marks=[pytest.mark.slow] * (one == "PD+FC")) for one in CONTROLLERS]
 )
@@ -257,6 +259,7 @@ def test_units_of_the_state_do_not_matter(name):
     np.testing.assert_allclose(growth(other), growth(loop), rtol=1e-6)
 
 
+@pytest.mark.long
 def test_directions_agree_where_the_drive_is_the_same_in_both():
     def both_ways(part):
         return Directional(part.positive, part.positive) if isinstance(part, Directional) else part

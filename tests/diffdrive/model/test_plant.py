@@ -181,6 +181,7 @@ FREE_MOTION = {
 
 
 # from 10 kg up: below, a single step of milliseconds may gain (docs/method/numerics.md)
+@pytest.mark.long
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(mass=decades(10.0, 1e4), **FREE_MOTION)
 def test_energy_never_grows_without_force(drive, mass, stiffness, step, velocity, bent):

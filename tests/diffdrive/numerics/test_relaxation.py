@@ -90,6 +90,7 @@ def test_slopes_of_first_and_second_order_are_those_of_differences(at, part):
         np.testing.assert_allclose(curved[k], along, rtol=1e-5, atol=1e-8 / size**2)
 
 
+@pytest.mark.long
 def test_there_are_derivatives_of_higher_orders():
     """Of exp(-x) at rest: -1, 1, -1, 1, up to the fourth; the fifth is where the fraction ends."""
 

@@ -117,6 +117,7 @@ def observers(drive):
 CASES = {name: case for name, *case in observers(paper_drive())}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_observer_is_the_textbook_filter(log, name):
     observer, settings = CASES[name]

@@ -37,6 +37,7 @@ def test_a_sudden_force_that_the_filter_may_invent_counts_as_missing():
     assert force_floor(fitter, fit, gap.counts, process) < 0.5 * gap.rms
 
 
+@pytest.mark.long
 def test_noise_alone_makes_no_more_of_it_than_the_floor_says():
     fitter, fit, _ = shaken(0.0)
     for process in (np.array([2.0, fitter.least]), np.array([2.0, 2.0]), np.array([2.0, 50.0])):

@@ -246,6 +246,7 @@ def test_an_interrupted_tuning_returns_the_best_so_far():
     assert float(found.point.objective) <= float(found.initial_point.objective)
 
 
+@pytest.mark.long
 def test_a_search_that_runs_out_of_steps_says_so():
     assert tuned(options=SearchOptions(max_steps=2)).status == "stopped after 2 steps"
 

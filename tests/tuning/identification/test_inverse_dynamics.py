@@ -165,6 +165,7 @@ def test_a_known_disturbance_counts_as_force():
     np.testing.assert_allclose(list(identify(split).values.values()), list(identify(log).values.values()), rtol=1e-9)
 
 
+@pytest.mark.long
 def test_standard_errors_are_those_of_coloured_noise():
     log = axis(500.0, 8.0)
     rng = np.random.default_rng(3)

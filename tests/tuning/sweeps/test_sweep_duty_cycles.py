@@ -88,6 +88,7 @@ def test_a_load_alone_may_vary_and_a_setting_of_several_motions_is_relative_to_e
     assert len(set(small)) == 8
 
 
+@pytest.mark.long
 def test_a_loop_that_runs_away_after_the_end_of_its_cycle_has_not_diverged():
     """Short cycles beside long ones, at whose end the loop is beyond what a number can be."""
     late = dataclasses.replace(DRIVE, actuator=Actuator(delay_samples=60))

@@ -212,6 +212,7 @@ def test_a_damaged_part_is_run_again_and_a_stranger_among_the_parts_is_refused(t
         missing_parts(plan(), tmp_path)
 
 
+@pytest.mark.long
 def test_a_machine_in_a_sweep_is_the_machine_in_a_single_simulation(tmp_path):
     quiet = Drive(PAPER.plant, PAPER.friction, PAPER.actuator, Sensor(None, 0.0))
     axis = Axis(quiet, CONTROLLERS["PD"], Sampling(1e4, 4), Limits())
@@ -227,6 +228,7 @@ def test_a_machine_in_a_sweep_is_the_machine_in_a_single_simulation(tmp_path):
         assert row["peak_m"] == pytest.approx(one.peak_error(0.01), rel=1e-7)
 
 
+@pytest.mark.long
 def test_spread_scatters_the_results_around_the_nominal_machine(tmp_path):
     vary = ("plant.mass=lognormal:5%", "friction.coulomb_screw=lognormal:5%", "friction.viscous=lognormal:5%")
     found = rows(run_parts(plan(128, vary=vary), tmp_path, lambda done: None))

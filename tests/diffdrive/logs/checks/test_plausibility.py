@@ -132,6 +132,7 @@ def test_every_clipping_level_is_told(level):
         assert max(told) == pytest.approx(level, rel=1e-5)
 
 
+@pytest.mark.long
 @given(
     mass=st.floats(30.0, 300.0),
     gain=st.floats(0.3, 1.5),

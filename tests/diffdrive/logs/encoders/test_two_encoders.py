@@ -51,6 +51,7 @@ def drawn(seed: int):
     return axis, log_of(axis, seed, rng.uniform(15.0, 40.0), stroke=stroke, speed=speed)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("backlash", [3e-6, 10e-6, 100e-6, 350e-6])
 @pytest.mark.parametrize("wind_up", [5e-6, 20e-6])
 def test_lost_motion_and_its_parts_are_found_before_any_fit(backlash, wind_up):
@@ -89,6 +90,7 @@ def test_no_error_per_turn_is_found_where_there_is_none():
     assert dd.compare_encoders(log).per_turn is None
 
 
+@pytest.mark.long
 def test_the_interval_grows_with_the_scatter_of_the_reversals():
     same, scattered = (dd.compare_encoders(of(backlash=100e-6, scatter=scatter)[1]) for scatter in (0.0, 5e-6))
     assert same.scatter < 0.1e-6
