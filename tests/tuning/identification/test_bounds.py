@@ -148,7 +148,7 @@ def test_an_interrupted_identification_returns_the_best_so_far_and_says_so(told,
 def test_names_that_are_no_parameters_are_refused_with_those_that_are():
     with pytest.raises(ParameterError, match=r"cannot fix 'weight'; known: mass, .*delay"):
         identify([short_log()], BELIEVED, fixed=("weight",))
-    with pytest.raises(ParameterError, match=r"cannot bound 'masss'; known: mass, .*delay"):
+    with pytest.raises(ParameterError, match=r"cannot bound 'masss'; did you mean 'mass'"):
         identify([short_log()], BELIEVED, bounded={"masss": (1.0, 2.0)})
 
 
