@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from functools import cache
 from types import SimpleNamespace
 
 import jax
@@ -38,6 +39,7 @@ from tuning.experiment_design.next_motion import candidates
 OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
 
 
+@cache
 def log_of(*effects):
     machine = jax.tree.map(float, calibrated(DRIVE.drive, jnp.asarray(OFF)))
     return simulate_log(dataclasses.replace(DRIVE, drive=dataclasses.replace(machine, effects=effects)), two_sines())

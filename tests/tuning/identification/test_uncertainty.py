@@ -1,5 +1,7 @@
 """Intervals on linear regressions whose truth is known, and the verdict on residuals whose structure is known."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -45,8 +47,9 @@ def fitted(columns, noise):
     return found, covariance, naive
 
 
-def drawn(noise_of, seed=0):
-    rng = np.random.default_rng(seed)
+@cache
+def drawn(noise_of):
+    rng = np.random.default_rng(0)
     columns = regressors(rng)
     return [fitted(columns, noise_of(rng, columns)) for _ in range(DRAWS)]
 
