@@ -1,6 +1,7 @@
 """Fits of logs of a machine that is not quite as its drive file says."""
 
 import dataclasses
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -9,10 +10,11 @@ import numpy as np
 from diffdrive.model.parameters import Sampling
 from diffdrive.numerics.arrays import as_arrays
 from tests.support.sound_log import DRIVE, RATE, simulate_log, two_sines
-from tuning.diagnosis.calibration import NAMES, calibrated
+from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.model import Logged
+from tuning.diagnosis.search import recalibrated
 from tuning.diagnosis.setting import setting
 from tuning.identification.problem import lanes_of, noise_floor
 
@@ -26,6 +28,13 @@ def fitter_of(*effects, seed=1):
     lanes = lanes_of([simulate_log(truth, two_sines(), seed)])
     noise = jnp.asarray(noise_floor(DRIVE.drive, lanes, RATE))
     return Fitter(Logged(as_arrays(DRIVE.drive), jnp.zeros(()), lanes, (0,), noise, Sampling(RATE, 10), jnp.zeros(1)))
+
+
+@cache
+def recalibrated_of(*effects):
+    """`fitter_of` these effects and its recalibrated fit, which takes seconds: one for all who ask in a process."""
+    fitter = fitter_of(*effects)
+    return fitter, recalibrated(fitter, TOLERANCE)
 
 
 def catalogue(fitter, base):

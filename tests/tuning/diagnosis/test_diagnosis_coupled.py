@@ -8,7 +8,7 @@ import pytest
 from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
 from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash, Compliance
-from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of
+from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of, recalibrated_of
 from tests.support.sound_log import DRIVE, RATE
 from tuning.diagnosis import evolving, leading
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
@@ -24,8 +24,7 @@ PLAY = {"gap": 5e-6, "frequency": 450.0, "damping": 0.08, "motor_share": 0.4, "t
 
 @pytest.fixture(scope="module")
 def sound():
-    fitter = fitter_of()
-    return fitter, recalibrated(fitter, TOLERANCE)
+    return recalibrated_of()
 
 
 @pytest.fixture(scope="module")

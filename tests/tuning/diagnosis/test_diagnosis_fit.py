@@ -12,7 +12,7 @@ from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.effects.friction import AppliedLoad
 from diffdrive.effects.machine import PayloadMass
 from diffdrive.model.quantity import Directional
-from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of
+from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of, recalibrated_of
 from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
 from tuning.diagnosis.beginnings import looked_for
 from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
@@ -39,14 +39,12 @@ HIDDEN = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))
 
 @pytest.fixture(scope="module")
 def sound():
-    fitter = fitter_of()
-    return fitter, recalibrated(fitter, TOLERANCE)
+    return recalibrated_of()
 
 
 @pytest.fixture(scope="module")
 def tilted():
-    fitter = fitter_of(ConstantForce(6.0))
-    return fitter, recalibrated(fitter, TOLERANCE)
+    return recalibrated_of(ConstantForce(6.0))
 
 
 @pytest.mark.long
@@ -105,8 +103,7 @@ def test_a_tilt_is_found_and_measured(tilted):
     ],
 )
 def test_an_effect_that_is_there_is_fitted(effect, name, key, value):
-    fitter = fitter_of(effect)
-    base = recalibrated(fitter, TOLERANCE)
+    fitter, base = recalibrated_of(effect)
     candidate = next(one for one in catalogue(fitter, base) if one.name == name)
     fit = fit_from(fitter, base, screen(base, candidate))
     assert fit.model.values(fit.u)[0][key][0] == pytest.approx(value, rel=0.15 if name == "payload_mass" else 1e-3)
@@ -141,8 +138,7 @@ def test_screening_points_no_further_than_any_prior_could_mean(sound):
 
 @pytest.mark.long
 def test_where_screening_points_too_far_a_fit_begins_without_the_effect():
-    fitter = fitter_of(Cogging(0.00125, 2.0, 1.0))
-    base = recalibrated(fitter, TOLERANCE)
+    fitter, base = recalibrated_of(Cogging(0.00125, 2.0, 1.0))
     found = screen(base, next(one for one in catalogue(fitter, base) if one.name == "cogging"))
     far = {name: value * (1.0 if name == "period" else 1e4) for name, value in found.values.items()}
     fit = fit_from(fitter, base, found._replace(values=far, rest=base.u + 30.0), 4)
@@ -204,9 +200,8 @@ def test_no_step_leads_further_than_a_prior_could_mean(sound, monkeypatch):
     assert np.max(np.abs(seen[0] - point.u)) == pytest.approx(FARTHEST)
 
 
-def test_a_secant_holds_along_the_step_that_was_taken():
-    fitter = fitter_of()
-    base = recalibrated(fitter, TOLERANCE)
+def test_a_secant_holds_along_the_step_that_was_taken(sound):
+    fitter, base = sound
     before = fitter.at(base.model, base.u, base.process, base.track.course)
     step = np.random.default_rng(2).standard_normal(base.model.size)
     ahead = fitter.at(base.model, base.u + step, base.process, base.track.course)
@@ -217,8 +212,8 @@ def test_a_secant_holds_along_the_step_that_was_taken():
     np.testing.assert_allclose(updated @ across, base.jacobian @ across, atol=1e-9 * np.abs(base.jacobian).max())
 
 
-def test_parameters_of_the_session_are_one_for_each_log():
-    fitter = fitter_of()
+def test_parameters_of_the_session_are_one_for_each_log(sound):
+    fitter, _ = sound
     twice = fitter.logged._replace(
         lanes=jax.tree.map(lambda one: jnp.concatenate([one, one]), fitter.logged.lanes),
         owner=(0, 1),
@@ -281,9 +276,9 @@ def test_a_delay_that_recalibration_made_up_for_is_screened_beside_what_makes_wa
 
 @pytest.mark.long
 @pytest.mark.parametrize("reached", [6, 20])
-def test_a_limit_is_found_that_few_samples_reach(reached):
+def test_a_limit_is_found_that_few_samples_reach(sound, reached):
     """So few that no force is missed; how many, decides which step of a grid comes near it."""
-    command = np.abs(np.asarray(fitter_of().logged.lanes.command)).ravel()
+    command = np.abs(np.asarray(sound[0].logged.lanes.command)).ravel()
     limit = float(np.sort(command)[-reached])
     fitter = fitter_of(ForceLimit(limit))
     base = recalibrated(fitter, TOLERANCE)
@@ -298,9 +293,9 @@ def test_a_limit_is_found_that_few_samples_reach(reached):
 
 @pytest.mark.long
 @pytest.mark.parametrize("astray", [1e-6, 1e-4])
-def test_a_count_that_went_astray_is_no_event_nor_is_a_long_rest(astray):
+def test_a_count_that_went_astray_is_no_event_nor_is_a_long_rest(sound, astray):
     """The filter begins again after it, and is off once more."""
-    simulate_log = fitter_of().logged
+    simulate_log = sound[0].logged
     resting = 16_000  # samples, before the motion
     ahead = {"position": "edge", "command": "constant", "disturbance": "edge", "load": "edge", "counts": "edge"}
     lanes = simulate_log.lanes._replace(
