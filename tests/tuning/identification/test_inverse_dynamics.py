@@ -170,7 +170,7 @@ def test_standard_errors_are_those_of_coloured_noise():
     log = axis(500.0, 8.0)
     rng = np.random.default_rng(3)
     found = []
-    for _ in range(150):
+    for _ in range(60):  # a spread of 60 is known to 1 / sqrt(2 * 60), 9 %: the bars below are three of these
         noise = lfilter([1.0], [1.0, -0.985], rng.standard_normal(len(log.time)))  # correlated over 0.13 s
         found.append(identify(replace(log, command=log.command + noise)))
     for name in TRUTH:
