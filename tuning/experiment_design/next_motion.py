@@ -139,11 +139,11 @@ def propose_motions(
     if not open_ones or not motions or isinstance(controller, UnknownController):
         return found
     width = float(scipy.stats.norm.ppf(0.5 * (1 + LEVEL)))
-    known = _information(wide, wide.problem, 1)[0]
+    known = _prior_information(wide) + _information(wide, wide.problem, 1)[0]
     offered = _candidate_information(identified, controller, sampling, list(motions.values()))
     for k, free in open_ones:
         informed = (known, *(known + more for more in offered))
-        before, *after = (_width(information, wide.problem.prior, k) for information in informed)
+        before, *after = (_width(information, k) for information in informed)
         best = int(np.argmin(np.where(np.isfinite(after), after, np.inf)))
         unit, slope = _slope(wide, free.path, k)
         scale = width * abs(slope)
@@ -165,16 +165,22 @@ def _slope(wide: RefinedFit, path: str, k: int) -> tuple[str, float]:
     return row(theta).parameter.unit, float(jax.grad(lambda theta: row(theta).value)(theta)[k])
 
 
-def _width(information: Float[np.ndarray, "k k"], prior: Float[np.ndarray, " k"], k: int) -> float:
-    return float(np.sqrt(np.linalg.inv(information + np.diag(prior**2))[k, k]))
+def _width(information: Float[np.ndarray, "k k"], k: int) -> float:
+    return float(np.sqrt(np.linalg.inv(information)[k, k]))
 
 
 def _information(fit: RefinedFit, problem: IdentificationProblem, lanes: int) -> Float[np.ndarray, "lanes k k"]:
-    """Fisher information of each lane at the end of a fit; the last rows, the prior, left out."""
+    """Fisher information of each lane at the end of a fit, without what was believed before."""
     _, slope = linearised(fit.residuals, jnp.asarray(fit.search.theta), as_arrays(problem))
-    count = slope.shape[1]
-    rows = np.asarray(slope)[:-count].reshape(lanes, -1, count)
+    rows = np.asarray(slope)[: problem.lanes.position.size].reshape(lanes, -1, slope.shape[1])
     return np.einsum("lnk,lnj->lkj", rows, rows)
+
+
+def _prior_information(fit: RefinedFit) -> Float[np.ndarray, "k k"]:
+    """That of what was believed before any log."""
+    _, slope = linearised(fit.residuals, jnp.asarray(fit.search.theta), as_arrays(fit.problem))
+    rows = np.asarray(slope)[fit.problem.lanes.position.size :]
+    return rows.T @ rows
 
 
 def _candidate_information(

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.ndimage
+from jaxtyping import Float
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import UnknownController
@@ -17,6 +18,7 @@ from diffdrive.numerics.arrays import as_arrays
 from tuning.identification.prediction import constant_gains, predict
 from tuning.identification.problem import FINE_SUBSTEP, lanes_of, sampling_of
 from tuning.identification.replay import replay_closed_loop, replay_open_loop
+from tuning.identification.uncertainty import BLOCK
 
 BANDWIDTH = 1000.0  # rad/s of the correction, above the fastest growth on a falling Stribeck curve; less where slow
 FORGOTTEN = 0.05  # s, in which the unknown velocity at the beginning is corrected
@@ -35,7 +37,24 @@ def prediction_gaps(description: Axis, delay: float, log: Log) -> dict[str, floa
     Every drive is corrected with the same constant gains. Gains chosen for each (as the identification does) would
     forgive a poor drive its errors: trusting it less, they follow the measurement.
     """
-    drive, lanes = description.drive, lanes_of([log])
+    innovation, force, counts = _predicted(description.drive, delay, log)
+    return {"one-step prediction, um": 1e6 * _rms(innovation[counts]), "missing force, N": _rms(force[counts])}
+
+
+def mean_square_force(drive: Drive, delay: float, log: Log) -> Float[np.ndarray, " blocks"]:
+    """Mean square (N^2) of the force that `drive` lacks, in each block of a log: blocks that are hardly related."""
+    _, force, counts = _predicted(drive, delay, log)
+    block = max(1, round(BLOCK * log.rate))
+    square, number = (
+        np.pad(one, ((0, 0), (0, -one.shape[1] % block))).reshape(-1, block).sum(axis=1)
+        for one in (np.where(counts, force, 0.0) ** 2, counts.astype(float))
+    )
+    return square[number == block] / block
+
+
+def _predicted(drive: Drive, delay: float, log: Log) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Innovations (m), the force (N) that is missing, and which samples count; [lanes, n] each."""
+    lanes = lanes_of([log])
     gains = constant_gains(min(BANDWIDTH, 0.3 * log.rate), 1.0, lanes, 1.0 / log.rate)
     sampling = sampling_of(float(round(log.rate, 6)), FINE_SUBSTEP)
     found = _predict(as_arrays(drive), jnp.asarray(delay), as_arrays(gains), as_arrays(lanes), sampling)
@@ -44,7 +63,7 @@ def prediction_gaps(description: Axis, delay: float, log: Log) -> dict[str, floa
     counts[:, : round(FORGOTTEN * log.rate)] = False
     force = float(drive.plant.mass) * log.rate * np.asarray(gains.velocity) * innovation
     smooth = scipy.ndimage.uniform_filter1d(force, max(1, round(SMOOTHING * log.rate)), axis=1)
-    return {"one-step prediction, um": 1e6 * _rms(innovation[counts]), "missing force, N": _rms(smooth[counts])}
+    return innovation, smooth, counts
 
 
 def _rms(signal: np.ndarray) -> float:

@@ -12,6 +12,7 @@ from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, Sampling
 from tuning.identification.prediction import FilterGains, Lanes, Prediction, initial_velocity, predict
+from tuning.identification.symmetry import departure_from_symmetry
 from tuning.identification.unknowns import Unknowns
 from tuning.optimisation.space import FreeParameter, SearchSpace
 
@@ -85,9 +86,9 @@ class Innovations:
 
     Hashed by value, so that the same question is compiled once.
 
-    Innovations over their expected scatter, each `stride`-th, then the distance of theta from its start in units of
-    belief. That is a prior of a factor of five: next to nothing where the log says something about a parameter, and
-    what keeps it at its start where the log says nothing.
+    Innovations over their expected scatter, each `stride`-th, then two priors: the distance of theta from its start in
+    units of belief, a factor of five, and how much more the directions differ than believed (`symmetry`). They are next
+    to nothing where the log says something about a parameter, and decide where it says nothing.
     """
 
     free: tuple[FreeParameter, ...]
@@ -105,11 +106,13 @@ class Innovations:
         return predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling)
 
     def __call__(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
-        innovation = self.predict(theta, problem).innovation
+        drive, unknowns = self.unpack(theta, problem)
+        innovation = predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling).innovation
         weighed = (innovation * problem.lanes.counts / problem.gains.innovation_std)[:, :: self.stride] * np.sqrt(
             self.stride
         )
-        return jnp.concatenate([weighed.ravel(), problem.prior * theta])
+        symmetry = departure_from_symmetry(unknowns, problem.believed_unknowns)
+        return jnp.concatenate([weighed.ravel(), problem.prior * theta, symmetry])
 
 
 def sampling_of(rate: float, substep: float) -> Sampling:

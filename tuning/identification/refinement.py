@@ -193,7 +193,7 @@ def _covariance(fine: Innovations, theta: Float[np.ndarray, " k"], problem: Iden
     value, slope = (np.asarray(array) for array in linearised(fine, jnp.asarray(theta), as_arrays(problem)))
     samples = shape[0] * shape[1]
     residual, jacobian = value[:samples].reshape(shape), slope[:samples].reshape(*shape, -1)
-    return sandwich(residual, jacobian, fine.sampling.rate, np.asarray(problem.prior))
+    return sandwich(residual, jacobian, fine.sampling.rate, slope[samples:])
 
 
 def without_undetermined(

@@ -75,17 +75,17 @@ def sandwich(
     residual: Float[np.ndarray, "lanes n"],
     jacobian: Float[np.ndarray, "lanes n k"],
     rate: float,
-    prior: Float[np.ndarray, " k"] | float = 1.0,
+    prior: Float[np.ndarray, "m k"],
 ) -> Covariance:
     """Covariance of y from residuals (any unit) and their derivative with respect to y.
 
-    The `prior` on y, one over its standard deviation (tuning.identification.problem.Innovations), is part of both H and
-    W: where the data say nothing, that is the standard error.
+    The `prior` on y, the derivative of its terms in standard deviations (tuning.identification.problem.Innovations), is
+    part of both H and W: where the data say nothing, that is the standard error.
     """
     lanes, samples, count = jacobian.shape
     # what diverges from a bad point would overflow when squared
     largest = np.maximum(1.0, np.max(np.abs(jacobian), axis=(0, 1)))
-    jacobian, believed = jacobian / largest, np.diag((prior / largest) ** 2)
+    jacobian, believed = jacobian / largest, (prior / largest).T @ (prior / largest)
     information = np.einsum("lnk,lnj->kj", jacobian, jacobian) + believed
     enough = lanes * samples // (MIN_BLOCKS_PER_PARAMETER * count)
     block = min(samples, max(round(BLOCK * rate), min(2 * correlation_length(residual), enough)))

@@ -13,6 +13,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.results import Result, Status
 from tuning.checked_logs import CheckedLogs, checked, require_sound
 from tuning.experiment_design.next_motion import Proposal, propose_motions
+from tuning.identification.doubts import determined_sums, doubts
 from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.gaps import Gap, gaps
 from tuning.identification.identify import Identification, require_search
@@ -24,6 +25,8 @@ from tuning.progress import Progress, reporting, searching
 from tuning.store.folder import FolderStore
 from tuning.store.store import Store
 
+BELIEVABLE = ("ok", "structure_remains")  # codes of searches that converged
+
 
 @dataclass(frozen=True, repr=False, eq=False)
 class IdentificationResult(Result):
@@ -31,7 +34,8 @@ class IdentificationResult(Result):
 
     `axis` has the identified machine, and a controller that believes in it. `estimates` are the parameters one by one;
     `fit` has the rest: covariance, residuals, adequacy. `held_out` are logs that were only looked at afterwards, by
-    `gaps`. Not ok: the search did not converge.
+    `gaps`. Not ok: the search did not converge, or something speaks against its answer (code `doubtful`): friction far
+    from what inverse dynamics shows, or held-out logs from which the identified axis is further than the believed one.
     """
 
     axis: Axis
@@ -214,15 +218,23 @@ def _require_no_effects(axis: Axis) -> None:
 
 def _result(axis: Axis, found: Identification, used: CheckedLogs, held_out: CheckedLogs) -> IdentificationResult:
     """The result, with what is to be said of it."""
+    against = doubts(found, axis.drive, used.logs, held_out.logs) if found.code in BELIEVABLE else []
     findings = [*used.notable, *held_out.notable]
     notes = [f"{log}: {finding.message}; {finding.remedy}" for log, finding in findings]
-    notes += [*found.notes, found.adequacy.says]
+    notes += [*against, *found.notes, *(one.message for one in determined_sums(found)), found.adequacy.says]
     unstated = unstated_noise(axis.drive, found.noise)
     notes += [unstated] if unstated else []
     return IdentificationResult(
         replace(axis.with_drive(found.drive), name="identified"), tuple(found.estimates), found, used, held_out,
-        tuple(notes), axis, Status(found.search.outcome is Outcome.CONVERGED, found.status, code=found.code),
+        tuple(notes), axis, _status(found, against),
     )  # fmt: skip
+
+
+def _status(found: Identification, against: Sequence[str]) -> Status:
+    """Converged only where nothing speaks against the answer."""
+    if against:
+        return Status(False, f"doubtful: {against[0]}", code="doubtful")
+    return Status(found.code in BELIEVABLE, found.status, code=found.code)
 
 
 def _unit(unit: str) -> str:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from tuning.identification.adequacy import adequacy
 from tuning.identification.uncertainty import autocorrelation, correlation_length, sandwich
 
+UNIT_PRIOR = np.eye(3)
 RATE, SAMPLES, DRAWS = 1_000.0, 6_000, 200
 TRUE = np.array([2.0, -1.0, 0.5])
 FRICTION = 100.0  # N
@@ -42,7 +43,7 @@ def fitted(columns, noise):
     data = columns @ TRUE + noise
     found, *_ = np.linalg.lstsq(columns, data, rcond=None)
     residual = data - columns @ found
-    covariance = sandwich(residual[None], -columns[None], RATE)
+    covariance = sandwich(residual[None], -columns[None], RATE, UNIT_PRIOR)
     naive = np.mean(residual**2) * np.linalg.inv(columns.T @ columns)
     return found, covariance, naive
 
@@ -98,7 +99,7 @@ def test_a_parameter_in_other_units_has_its_error_in_these_units(units):
     rng = np.random.default_rng(1)
     columns, units = regressors(rng), np.array(units)
     residual = coloured(rng, columns)
-    plain, scaled = (sandwich(residual[None], each[None], RATE) for each in (columns, columns / units))
+    plain, scaled = (sandwich(residual[None], each[None], RATE, UNIT_PRIOR) for each in (columns, columns / units))
     expected = plain.matrix * np.outer(units, units)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert np.max(np.abs(scaled.matrix - expected) / scale) < 0.1
@@ -109,9 +110,11 @@ def test_the_order_of_the_lanes_does_not_matter_nor_do_lanes_of_padding():
     rng = np.random.default_rng(2)
     columns = np.stack([regressors(rng) for _ in range(3)])
     residual = rng.normal(size=columns.shape[:2])
-    plain = sandwich(residual, columns, RATE)
-    swapped = sandwich(residual[::-1], columns[::-1], RATE)
-    padded = sandwich(np.vstack([residual, 0 * residual[:1]]), np.concatenate([columns, 0 * columns[:1]]), RATE)
+    plain = sandwich(residual, columns, RATE, UNIT_PRIOR)
+    swapped = sandwich(residual[::-1], columns[::-1], RATE, UNIT_PRIOR)
+    padded = sandwich(
+        np.vstack([residual, 0 * residual[:1]]), np.concatenate([columns, 0 * columns[:1]]), RATE, UNIT_PRIOR
+    )
     np.testing.assert_allclose(swapped.matrix, plain.matrix, rtol=1e-9, atol=1e-20)
     np.testing.assert_allclose(padded.matrix, plain.matrix, rtol=1e-9, atol=1e-20)
     assert padded.blocks == plain.blocks
@@ -122,7 +125,7 @@ def test_columns_that_are_nearly_one_stay_finite_and_are_told_correlated(apart):
     rng = np.random.default_rng(3)
     columns = regressors(rng)
     columns[:, 1] = columns[:, 0] + apart * columns[:, 1]
-    found = sandwich(white(rng, columns)[None], columns[None], RATE)
+    found = sandwich(white(rng, columns)[None], columns[None], RATE, UNIT_PRIOR)
     assert np.all(np.isfinite(found.matrix))
     assert np.all(np.linalg.eigvalsh(found.matrix) > -1e-12)
     assert np.isfinite(found.condition)
@@ -137,11 +140,11 @@ def test_a_parameter_of_which_the_data_say_nothing_keeps_the_error_of_its_prior(
     columns = regressors(rng)
     columns[:, 1] = 0.0
     residual = white(rng, columns)[None]
-    errors = np.sqrt(np.diag(sandwich(residual, columns[None], RATE).matrix))
+    errors = np.sqrt(np.diag(sandwich(residual, columns[None], RATE, UNIT_PRIOR).matrix))
     assert errors[1] == pytest.approx(1.0, rel=1e-9)
     assert max(errors[0], errors[2]) < 0.05
     weak = np.array([1.0, 0.02, 1.0])
-    assert sandwich(residual, columns[None], RATE, weak).matrix[1, 1] == pytest.approx(50.0**2, rel=1e-9)
+    assert sandwich(residual, columns[None], RATE, np.diag(weak)).matrix[1, 1] == pytest.approx(50.0**2, rel=1e-9)
 
 
 def test_the_autocorrelation_of_an_autoregression_is_its_coefficients_powers():
@@ -232,8 +235,8 @@ def test_a_derivative_that_has_run_away_does_not_overflow():
     rng = np.random.default_rng(11)
     columns = regressors(rng)
     residual = white(rng, columns)
-    plain = sandwich(residual[None], columns[None], RATE)
-    wild = sandwich(residual[None], columns[None] * np.array([1.0, 1e200, 1.0]), RATE)
+    plain = sandwich(residual[None], columns[None], RATE, UNIT_PRIOR)
+    wild = sandwich(residual[None], columns[None] * np.array([1.0, 1e200, 1.0]), RATE, UNIT_PRIOR)
     kept = np.ix_([0, 2], [0, 2])
     np.testing.assert_allclose(wild.matrix[kept], plain.matrix[kept], rtol=1e-3)
     assert 0.0 <= wild.matrix[1, 1] < 1e-300
