@@ -46,6 +46,7 @@ class IdentificationResult(Result):
     notes: tuple[str, ...]
     initial_axis: Axis  # before
     status: Status
+    doubts: tuple[str, ...] = ()  # what speaks against the answer of a search that converged
 
     schema: ClassVar[str] = "identification/1"
 
@@ -226,7 +227,7 @@ def _result(axis: Axis, found: Identification, used: CheckedLogs, held_out: Chec
     notes += [unstated] if unstated else []
     return IdentificationResult(
         replace(axis.with_drive(found.drive), name="identified"), tuple(found.estimates), found, used, held_out,
-        tuple(notes), axis, _status(found, against),
+        tuple(notes), axis, _status(found, against), tuple(against),
     )  # fmt: skip
 
 

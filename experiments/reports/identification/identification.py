@@ -18,6 +18,7 @@ from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs
 from tuning.identification import inverse_dynamics
+from tuning.identification.doubts import determined_sums
 from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.identify import Identification
 from tuning.identification.inverse_dynamics import MIN_SPEED
@@ -92,6 +93,8 @@ def report_identification(report: Report, result: IdentificationResult) -> None:
         if name := write_axis_file(report, result.axis, "identified.toml"):
             report.keep("written", file=name)
         write_uncertainty(report.out, result.fit)
+    for doubt in result.doubts:
+        report.say(f"Doubtful: {doubt}.")
     print_identification(report, result.fit)
     if unstated := unstated_noise(result.initial_axis.drive, result.fit.noise):
         report.say(unstated)
@@ -234,6 +237,8 @@ def print_remarks(report: Report, found: Identification) -> None:
     if found.correlated:
         rows = [[_named(one), _named(other), r] for one, other, r in found.correlated]
         report.table("correlated", ("one", "other", "correlation"), rows, "Pairs that the logs hardly distinguish")
+        for known in determined_sums(found):
+            report.say(f"{known.message}.")
     undetermined = [one.name for one in found.estimates if one.status is EstimateStatus.UNDETERMINED]
     if undetermined:
         report.say(f"The logs do not determine {', '.join(undetermined)}: they stay as the drive file says.")
