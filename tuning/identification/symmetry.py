@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diffdrive.model.quantity import Directional
+from diffdrive.numerics.arrays import Scalar
 from tuning.identification.unknowns import Unknowns
 
 # Standard deviation of the logarithm of a parameter's ratio between the directions, beyond that of the drive file: the
@@ -27,7 +28,7 @@ def departure_from_symmetry(unknowns: Unknowns, believed: Unknowns) -> Float[Arr
     An axis that hangs states its constant force in the drive file; one that is not stated is found where the logs tell
     it from friction.
     """
-    rows = []
+    rows: list[Scalar] = []
     for field in dataclasses.fields(unknowns):
         pair, expected = getattr(unknowns, field.name), getattr(believed, field.name)
         if isinstance(pair, Directional) and isinstance(expected, Directional):
