@@ -43,6 +43,7 @@ class TomlSection:
             raise DriveFileError(f"{source}: [{name}] must be a table, got {short_repr(table)}")
         self.source, self.name, self.table, self._remaining = source, name, table, dict(table)
         self._accepted: list[str] = []
+        self._below: list[TomlSection] = []
         self.kind: str | None = None  # of the controller, where the accepted keys depend on it
         self.kinds_with: Callable[[str], list[str]] = lambda key: []  # the other kinds that accept a key
 
@@ -64,6 +65,7 @@ class TomlSection:
         subsection = TomlSection(self.source, f"{self.name}.{key}", self.take(key, {}))
         if self.kind is not None:
             subsection.set_kind(self.kind, self._kinds_of_table)
+        self._below.append(subsection)
         return subsection
 
     def set_kind(self, kind: str, kinds_with: Callable[[str, str], list[str]]) -> None:
@@ -123,7 +125,9 @@ class TomlSection:
         return built
 
     def done(self) -> None:
-        """Raise if keys are left that were never taken."""
+        """Raise if keys are left that were never taken, here or in a subsection."""
+        for subsection in self._below:
+            subsection.done()
         if not self._remaining:
             return
         key = next(iter(self._remaining))

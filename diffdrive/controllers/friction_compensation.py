@@ -108,8 +108,6 @@ def _builder_with(
         tracking = read_tracking(section, drive)
         tuning, estimator = section.subsection("observer"), section.subsection("load_estimator")
         observer = KalmanObserver(drive.plant, drive.friction, tuning.build(Tuning), estimator.build(load))
-        tuning.done()
-        estimator.done()
         return FrictionCompensation(tracking, observer)
 
     return build
@@ -121,8 +119,6 @@ def _build_with_load_state(section: Section, drive: Drive) -> FrictionCompensati
     observer = estimator.build(
         LoadStateObserver, plant=drive.plant, friction=drive.friction, tuning=tuning.build(LoadStateTuning)
     )
-    tuning.done()
-    estimator.done()
     return FrictionCompensation(tracking, observer)
 
 
