@@ -18,7 +18,7 @@ Parameters = TypeVar("Parameters", bound=eqx.Module)
 
 @runtime_checkable
 class Section(Protocol):
-    """One table of a drive file, from which a kind takes keys; a key that is left over is an error."""
+    """One table of a drive file, from which a kind takes keys; a key that is left over, here or below, is an error."""
 
     def take(self, key: str, default: object = ...) -> object:
         """The raw value of a key."""
@@ -33,7 +33,7 @@ class Section(Protocol):
         """The error for a bad key."""
 
     def done(self) -> None:
-        """Raise if keys are left that were never taken."""
+        """Raise if keys are left that were never taken, here or in a table below; the file's reader asks for it."""
 
 
 class Option(NamedTuple):
@@ -47,9 +47,8 @@ class Option(NamedTuple):
 
 
 FEEDFORWARD = Option(
-    "feedforward", "", "true, false", "true; pd and cascade: false",
-    "whether inertia and damping of [plant] are fed forward",
-)  # fmt: skip
+    "feedforward", "", "true, false", "false", "whether inertia and damping of [plant] are fed forward"
+)
 DERIVATIVE = Option("derivative", "", "backward-difference", "backward-difference", "the only one")
 
 
@@ -105,4 +104,4 @@ def read_tracking(section: Section, drive: Drive, feedforward: bool = True) -> T
 
 
 TRACKING_KEYS = Keys("controller", PDGains)
-TRACKING_OPTIONS = (FEEDFORWARD, DERIVATIVE)
+TRACKING_OPTIONS = (FEEDFORWARD._replace(default="true"), DERIVATIVE)

@@ -12,7 +12,7 @@ from diffdrive.controllers.base import (
     Tunable,
     paper_tracking,
 )
-from diffdrive.controllers.kinds import TRACKING_KEYS, TRACKING_OPTIONS, Kind, read_tracking
+from diffdrive.controllers.kinds import DERIVATIVE, FEEDFORWARD, TRACKING_KEYS, Kind, read_tracking
 from diffdrive.model.parameters import Drive
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.typing import TomlTable
@@ -65,6 +65,6 @@ KIND = Kind(
     # a bare PD is what many machines run, and has no feed-forward unless the file says so
     lambda section, drive: PD(read_tracking(section, drive, feedforward=False)),
     (TRACKING_KEYS,),
-    TRACKING_OPTIONS,
+    (FEEDFORWARD, DERIVATIVE),
     example=lambda drive: PD(paper_tracking(drive)),
 )
