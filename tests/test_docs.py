@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from diffdrive.axis_file import reference as drive_file
+from diffdrive.controllers import KINDS
+from diffdrive.effects import EFFECTS
+from diffdrive.logs.formats.registry import READERS
 from diffdrive.motion import reference as motions
 from diffdrive.motion.text import LOAD_UNITS, LOADS, MOTION_UNITS, MOTIONS, parse_load, parse_motion
 
@@ -26,6 +29,17 @@ def test_the_reference_of_drive_files_in_the_docs_is_current():
     for page, its_own in (("drive-file.md", [row for row in rows if row not in effects]), ("effects.md", effects)):
         text = (ROOT / "docs" / "reference" / page).read_text(encoding="utf-8")
         assert drive_file.markdown(its_own) in text, f"{page}: `diffdrive keys` prints what it should hold"
+
+
+CATALOGUES = {"effects.md": EFFECTS, "drive-file.md": KINDS, "logs.md": READERS}
+
+
+@pytest.mark.parametrize(("page", "names"), CATALOGUES.items(), ids=CATALOGUES.keys())
+def test_the_page_of_a_catalogue_explains_each_of_its_names(page, names):
+    """In a row of its own, beside those of the keys, or among the extensions of a row."""
+    text = (ROOT / "docs" / "reference" / page).read_text(encoding="utf-8")
+    told = {word.strip("`") for cell in re.findall(r"^\|([^|]+)\|", text, re.M) for word in cell.split()}
+    assert [name for name in names if name not in told] == []
 
 
 def test_the_reference_of_motions_in_the_docs_is_current():

@@ -20,6 +20,7 @@ from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.controllers import KINDS
 from diffdrive.errors import LoadEstimatorWarning, ParameterError
 from diffdrive.logs import ColumnMapping, read_log
+from diffdrive.logs.formats.registry import EXTENSIONS
 from diffdrive.motion.text import numbers as numbers_of
 from diffdrive.paper import paper_axis
 from experiments.cli import main as cli
@@ -76,6 +77,11 @@ def test_the_help_of_an_option_names_all_that_it_takes(drive_file, tmp_path, com
     shown = run(command, "--help").output
     for name in known.search(told)[1].split(", "):
         assert name == "constant" or re.search(rf"\b{name}\b", shown), name  # a bare number is a constant load
+
+
+def test_the_help_of_logs_names_every_format():
+    shown = run("check", "--help").output.casefold()
+    assert [name for name in EXTENSIONS if name not in shown] == []
 
 
 def test_the_keys_are_all_that_a_drive_file_may_hold(drive_file):
