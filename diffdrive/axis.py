@@ -21,7 +21,7 @@ from diffdrive.motion.motion import Limits
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.messages import suggestion
 
-PARTS = ("plant", "friction", "actuator", "sensor", "effects")  # of the machine
+PARTS = ("plant", "friction", "actuator", "sensor", "motor_encoder", "effects")  # of the machine
 
 
 class Axis(eqx.Module):
@@ -40,7 +40,7 @@ class Axis(eqx.Module):
 
     """
 
-    drive: Drive  # the machine: plant, friction, actuator, sensor, effects
+    drive: Drive  # the machine: plant, friction, actuator, encoders, effects
     controller: Controller  # with its own model of the machine, where it has one
     sampling: Sampling  # control rate, and substeps of the plant
     limits: Limits = eqx.field(static=True, default=Limits())

@@ -41,7 +41,7 @@ def simulate(
         load: Force on the guides (N), one number or one per sample.
         machine: An axis whose drive replaces the axis's own under the axis's controller, so that the controller's model
             and the true machine may differ.
-        seed: Of the noise of the scale (None: no noise). By default there is noise, as in a log; `rollout` has none.
+        seed: Of the noise of the encoders (None: no noise). By default there is noise, as in a log; `rollout` has none.
         every: Keep each n-th sample.
         throw: Raise an error where the status is not ok.
 
@@ -108,8 +108,8 @@ def rollout(
         motion: The reference, [n] samples at the axis's rate.
         load: Force on the guides (N), one number or one per sample; may be traced.
         machine: An axis whose drive replaces the axis's own, as in `simulate`.
-        seed: Of the noise of the scale. By default there is none, since a derivative is of the loop, not of its noise;
-            `simulate` has it, with seed 0.
+        seed: Of the noise of the encoders. By default there is none, since a derivative is of the loop, not of its
+            noise; `simulate` has it, with seed 0.
 
     Raises:
         ParameterError: The motion, or the machine, has another rate than the axis.
@@ -137,6 +137,7 @@ def rollout(
         friction=frames.friction,
         friction_estimate=None if estimate is None else estimate.friction,
         load_estimate=None if estimate is None else estimate.load,
+        motor_position=frames.motor_position,
         rate=axis.rate,
         start=float(motion.time[0]),
     )

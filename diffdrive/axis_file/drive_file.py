@@ -186,8 +186,10 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
         mapping = parse_mapping(*(cast(TomlTable, root.take(key, {})) for key in ("columns", "units", "shifts")))
     except LogError as error:
         raise DriveFileError(f"{source}: {error}") from None
-    effects = root.take("effects", {})
+    effects, motor_encoder = root.take("effects", {}), root.take("motor_encoder", None)
     root.done()
+    if motor_encoder is not None:
+        sections["motor_encoder"] = TomlSection(source, "motor_encoder", motor_encoder)
     delay = sections["actuator"].take("delay_samples", 0)
     if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
         raise sections["actuator"].fail(
@@ -199,6 +201,7 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
         actuator=sections["actuator"].build(Actuator, delay_samples=delay),
         sensor=sections["sensor"].build(Sensor),
         effects=_effects(TomlSection(source, "effects", effects)),
+        motor_encoder=None if motor_encoder is None else sections["motor_encoder"].build(Sensor),
     )
     rate = sections["sampling"].number("rate", "Hz", 10_000.0)
     substeps = sections["sampling"].take("substeps", None)
@@ -213,11 +216,12 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
         require_feasible(drive, limits_envelope(limits, sampling))
     except ParameterError as error:
         raise DriveFileError(f"{source}: {error}") from None
-    if drive.sensor.resolution is not None and float(drive.sensor.resolution) > 1e-2 * min(high - low, 1.0):
-        raise sections["sensor"].fail(
-            "resolution",
-            f"{drive.sensor.resolution:g} m is coarser than a hundredth of the stroke; is it in micrometres?",
-        )
+    for name, encoder in (("sensor", drive.sensor), ("motor_encoder", drive.motor_encoder)):
+        if encoder is not None and float(encoder.resolution or 0.0) > 1e-2 * min(high - low, 1.0):
+            raise sections[name].fail(
+                "resolution",
+                f"{encoder.resolution:g} m is coarser than a hundredth of the stroke; is it in micrometres?",
+            )
     controller = build_controller(sections["controller"], drive)
     for section in sections.values():
         section.done()
@@ -251,6 +255,7 @@ def axis_tables(axis: Axis) -> dict[str, TomlTable]:
         "friction": quantity_table(drive.friction),
         "actuator": quantity_table(drive.actuator) | {"delay_samples": drive.actuator.delay_samples},
         "sensor": quantity_table(drive.sensor),
+        **({} if drive.motor_encoder is None else {"motor_encoder": quantity_table(drive.motor_encoder)}),
         "controller": controller_table(axis.controller),
         "sampling": {"rate": axis.sampling.rate},
         "limits": {},

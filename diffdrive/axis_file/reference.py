@@ -15,6 +15,7 @@ _PARTS: tuple[tuple[str, type[eqx.Module]], ...] = (
     ("friction", Friction),
     ("actuator", Actuator),
     ("sensor", Sensor),
+    ("motor_encoder", Sensor),
 )
 
 

@@ -27,6 +27,24 @@ class Reference(NamedTuple):
     acceleration: Scalar
 
 
+class Encoders(NamedTuple):
+    """What the encoders read: the scale (m), and that of the motor as table travel (m), None where there is none."""
+
+    scale: Scalar
+    motor: Scalar | None = None
+
+    def at(self, name: str) -> Scalar:
+        """The reading of one, "scale" or "motor"; raises `ParameterError` where the axis has no motor encoder."""
+        if name == "scale":
+            return self.scale
+        if self.motor is None:
+            raise ParameterError(
+                "the controller feeds back the motor encoder, and the drive has no motor_encoder: give it one, or feed "
+                "back the scale"
+            )
+        return self.motor
+
+
 class Command(NamedTuple):
     """The force command (N), and the estimate behind it where the controller makes one."""
 
@@ -57,7 +75,10 @@ FEEDBACK_FACTOR, FILTER_FACTOR, CUTOFF_FACTOR = 30.0, 1e3, 10.0
 
 
 class Controller(eqx.Module):
-    """A controller as its interrupt routine sees it: once a period, from reference, scale and last force."""
+    """A controller as its interrupt routine sees it: once a period, from reference, scale and last force.
+
+    One that uses the motor encoder says so in `feedback`, and has a `step_from_encoders` of its own.
+    """
 
     @property
     def kind(self) -> str:
@@ -91,6 +112,11 @@ class Controller(eqx.Module):
     def is_linear(self) -> bool:
         """Whether its command is linear in reference and position: no saturation, no friction that is fed forward."""
         return False
+
+    @property
+    def feedback(self) -> frozenset[str]:
+        """The encoders that it uses: "scale", "motor" or both."""
+        return frozenset({"scale"})
 
     @property
     def command_parts(self) -> tuple[CommandPart, ...]:
@@ -138,7 +164,16 @@ class Controller(eqx.Module):
     def step(
         self, state: PyTree, reference: Reference, position: Scalar, applied: Scalar, period: float
     ) -> tuple[PyTree, Command]:
-        """One period: measured `position` (m), and the force (N) that acted since the last one."""
+        """One period: measured `position` (m), and the force (N) that acted since the last one.
+
+        Where the axis has two encoders, and both are used, this is the step on a stiff axis: both read `position`.
+        """
+
+    def step_from_encoders(
+        self, state: PyTree, reference: Reference, encoders: Encoders, applied: Scalar, period: float
+    ) -> tuple[PyTree, Command]:
+        """`step`, from the encoders that it uses: by default the scale."""
+        return self.step(state, reference, encoders.scale, applied, period)
 
     @property
     def pipelines(self) -> tuple[tuple[str, int], ...]:

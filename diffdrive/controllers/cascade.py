@@ -14,6 +14,7 @@ from diffdrive.controllers.base import (
     Command,
     CommandPart,
     Controller,
+    Encoders,
     Feedforward,
     Reference,
     Tunable,
@@ -27,11 +28,14 @@ from diffdrive.numerics.pipeline import Pipeline, filled, pushed
 from diffdrive.support.messages import short_repr
 from diffdrive.support.typing import TomlTable
 
+ENCODERS = ("scale", "motor")
+FEEDBACK = ("position_feedback", "velocity_feedback")
+
 
 class CascadeState(NamedTuple):
     """Past positions and the velocity loop's integral."""
 
-    past: Pipeline  # measured positions, oldest first
+    past: Pipeline  # measured positions of which the velocity is made, oldest first
     integral: Scalar  # N
     started: Scalar
 
@@ -39,7 +43,8 @@ class CascadeState(NamedTuple):
 class Cascade(Controller):
     """u = kv (kp e + ff v_ref - v) + ki int(kp e + ff v_ref - v) + motion feed-forward.
 
-    The velocity is the backward difference over `velocity_samples` samples, (y[k] - y[k-n]) / (n T).
+    The velocity is the backward difference over `velocity_samples` samples, (y[k] - y[k-n]) / (n T). Each loop uses the
+    scale or the motor encoder.
     """
 
     kp: Scalar = quantity("1/s", "Kv factor of the position loop", at_least=0.0)
@@ -50,11 +55,17 @@ class Cascade(Controller):
     )
     feedforward: Feedforward | None = None
     velocity_samples: int = eqx.field(static=True, default=1)
+    position_feedback: str = eqx.field(static=True, default="scale")
+    velocity_feedback: str = eqx.field(static=True, default="scale")
 
     def __check_init__(self) -> None:
         problem = _samples_problem(self.velocity_samples)
         if problem is not None:
             raise ParameterError(f"velocity_samples {problem}")
+        for name in FEEDBACK:
+            problem = _feedback_problem(getattr(self, name))
+            if problem is not None:
+                raise ParameterError(f"{name} {problem}")
 
     @property
     def kind(self) -> str:
@@ -77,6 +88,10 @@ class Cascade(Controller):
         return float(self.ki) == 0
 
     @property
+    def feedback(self) -> frozenset[str]:
+        return frozenset({self.position_feedback, self.velocity_feedback})
+
+    @property
     def command_parts(self) -> tuple[CommandPart, ...]:
         if self.is_memoryless:
             return CommandPart("kp"), CommandPart("kv")
@@ -85,7 +100,8 @@ class Cascade(Controller):
 
     def table(self) -> TomlTable:
         options = {"feedforward": self.feedforward is not None, "velocity_samples": self.velocity_samples}
-        return options | quantity_table(self)
+        feedback = {name: getattr(self, name) for name in FEEDBACK} if "motor" in self.feedback else {}
+        return options | feedback | quantity_table(self)
 
     def with_model(self, drive: Drive) -> "Cascade":
         return self if self.feedforward is None else replace(self, feedforward=Feedforward.of(drive.plant))
@@ -105,10 +121,16 @@ class Cascade(Controller):
     def step(
         self, state: CascadeState, reference: Reference, position: Scalar, applied: Scalar, period: float
     ) -> tuple[CascadeState, Command]:
+        return self.step_from_encoders(state, reference, Encoders(position, position), applied, period)
+
+    def step_from_encoders(
+        self, state: CascadeState, reference: Reference, encoders: Encoders, applied: Scalar, period: float
+    ) -> tuple[CascadeState, Command]:
+        position, differenced = encoders.at(self.position_feedback), encoders.at(self.velocity_feedback)
         # before the first sample the table stood where it is first measured
-        history = jax.tree.map(lambda p: state.started * p + (1.0 - state.started) * position, state.past)
-        oldest_position, history = pushed(history, position)
-        velocity = (position - oldest_position) / (self.velocity_samples * period)
+        history = jax.tree.map(lambda p: state.started * p + (1.0 - state.started) * differenced, state.past)
+        oldest_position, history = pushed(history, differenced)
+        velocity = (differenced - oldest_position) / (self.velocity_samples * period)
         velocity_reference = self.kp * (reference.position - position) + self.velocity_feedforward * reference.velocity
         integral = state.integral + self.ki * period * (velocity_reference - velocity)
         force = self.kv * (velocity_reference - velocity) + integral
@@ -124,7 +146,28 @@ def _samples_problem(samples: object) -> str | None:
     return None
 
 
+def _feedback_problem(encoder: object) -> str | None:
+    """Why a loop cannot be closed over this encoder; None where it can."""
+    return None if encoder in ENCODERS else f'must be "scale" or "motor", got {short_repr(encoder)}'
+
+
+def _read_feedback(section: Section, drive: Drive) -> dict[str, object]:
+    """The encoders of both loops; one that the drive has not is an error."""
+    feedback = {name: section.take(name, "scale") for name in FEEDBACK}
+    for name, encoder in feedback.items():
+        problem = _feedback_problem(encoder)
+        if problem is None and encoder == "motor" and drive.motor_encoder is None:
+            problem = 'is "motor", and the file has no table [motor_encoder]: state that encoder, or use "scale"'
+        if problem is not None:
+            raise section.fail(name, problem)
+    return feedback
+
+
 VELOCITY_SAMPLES = Option("velocity_samples", "-", ">= 1, whole", "1", "samples over which the velocity is differenced")
+FEEDBACK_OPTIONS = tuple(
+    Option(name, "", "scale, motor", "scale", f"encoder of the {name.split('_')[0]} loop; motor needs [motor_encoder]")
+    for name in FEEDBACK
+)
 
 
 def _build(section: Section, drive: Drive) -> Cascade:
@@ -133,7 +176,7 @@ def _build(section: Section, drive: Drive) -> Cascade:
     problem = _samples_problem(samples)
     if problem is not None:
         raise section.fail("velocity_samples", problem)
-    return section.build(Cascade, feedforward=feedforward, velocity_samples=samples)
+    return section.build(Cascade, feedforward=feedforward, velocity_samples=samples, **_read_feedback(section, drive))
 
 
 KIND = Kind(
@@ -141,6 +184,6 @@ KIND = Kind(
     "proportional position loop over a PI velocity loop",
     _build,
     (Keys("controller", Cascade),),
-    (FEEDFORWARD, VELOCITY_SAMPLES),
+    (FEEDFORWARD, VELOCITY_SAMPLES, *FEEDBACK_OPTIONS),
     example=lambda drive: Cascade(kp=50.0, kv=1e5, ki=1e6, velocity_feedforward=1.0),
 )

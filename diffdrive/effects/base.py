@@ -194,6 +194,10 @@ class TableEffect(Effect):
         """State after a period over which the table travels a known distance (m)."""
         return self.step(state, seen, drive, period)[0]
 
+    def motor_deflection(self, state: PyTree) -> Scalar:
+        """How far the motor is ahead of the table (m); zero where the effect is not between them."""
+        return 0.0
+
 
 class StaticTableEffect(TableEffect):
     """On the table and its friction, without a state."""
@@ -225,7 +229,13 @@ class TableForce(StaticTableEffect):
 
 
 class ScaleEffect(Effect):
-    """On the measured position."""
+    """On the measured position; `of_screw` if the error arises between motor and table.
+
+    A scale at the table does not show an error of the screw, and a motor encoder beside it shows nothing else. Where a
+    drive has one encoder, this shows all errors.
+    """
+
+    of_screw: ClassVar[bool] = False
 
     @abc.abstractmethod
     def error(self, position: Scalar) -> Scalar:

@@ -29,9 +29,13 @@ def _counts_backwards(linear: Scalar, height: Scalar | np.ndarray, period: Scala
 
 
 class LeadError(ScaleEffect):
-    """Pitch error: periodic with the screw's lead, and linear."""
+    """Pitch error: periodic with the screw's lead, and linear.
+
+    It lies between motor and table: where there is a motor encoder beside the scale, that one shows it, not the scale.
+    """
 
     name: ClassVar[str] = "lead_error"
+    of_screw: ClassVar[bool] = True
     lead: Scalar = quantity("m", "lead of the screw", above=0.0, default=5e-3)
     cosine: Scalar = quantity("m", "amplitude of the cosine", default=0.0)
     sine: Scalar = quantity("m", "amplitude of the sine", default=0.0)

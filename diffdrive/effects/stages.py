@@ -115,6 +115,23 @@ def scale_error(effects: Effects, position: Scalar) -> Scalar:
     return sum(errors[1:], errors[0]) if errors else 0.0 * position
 
 
+def of_screw(effects: Effects) -> Effects:
+    """The errors of the measured position that arise between motor and table: those of a motor encoder."""
+    return tuple(effect for effect in effects if isinstance(effect, ScaleEffect) and effect.of_screw)
+
+
+def of_scale(effects: Effects) -> Effects:
+    """The errors of the measured position that arise at the table: those of a scale beside a motor encoder."""
+    return tuple(effect for effect in effects if isinstance(effect, ScaleEffect) and not effect.of_screw)
+
+
+def motor_deflection(effects: Effects, states: tuple[PyTree, ...]) -> Scalar:
+    """How far the motor is ahead of the table (m)."""
+    pairs = zip(effects, states, strict=True)
+    deflections = [effect.motor_deflection(state) for effect, state in pairs if isinstance(effect, TableEffect)]
+    return sum(deflections[1:], deflections[0]) if deflections else 0.0
+
+
 def with_friction_offset(drive: Drive, acts: PyTree) -> Drive:
     """The drive with the friction that the effects add."""
     friction = drive.friction

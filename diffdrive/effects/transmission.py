@@ -244,6 +244,11 @@ class Transmission(TableEffect):
         """The screw relaxed, in the middle of any dead zone."""
         return MotorState.at_rest()
 
+    def motor_deflection(self, state: PyTree) -> Scalar:
+        """That of the screw."""
+        deflection: Scalar = state.relative.deflection
+        return deflection
+
     def step(self, state: PyTree, seen: Seen, drive: Drive, period: float) -> tuple[PyTree, Acts]:
         """Free within a dead zone, an oscillator in contact, which lasts as long as it pushes."""
         return step_screw(self.screw, state, seen, drive, period)

@@ -1,10 +1,10 @@
 """The loop about a steady motion, by automatic differentiation of the control step itself.
 
-The loop is opened where the amplifier's force reaches the table: the parts after it (table, friction, scale) and before
-it (controller, observers, delay) are the very functions that `simulate` steps. Observers use the force that they
+The loop is opened where the amplifier's force reaches the table: the parts after it (table, friction, encoders) and
+before it (controller, observers, delay) are the very functions that `simulate` steps. Observers use the force that they
 requested, as in the machine, so a gain in the loop is an amplifier or a mass that differs from the model.
 
-    force -> plant -> scale -> controller with its observers -> limit and delay -> force
+    force -> plant -> encoders -> controller with its observers -> limit and delay -> force
 
 A frequency response is differentiable in every gain. Its derivative follows from two solves at the point alone,
 dL = dC r + l dB + l dA r with r = (z I - A)^-1 B and l = C (z I - A)^-1: many gains cost no more solves than one.
@@ -21,12 +21,13 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Complex, Float, PyTree
 
-from diffdrive.controllers import Controller, Reference
+from diffdrive.controllers import Controller, Encoders, Reference
 from diffdrive.effects import stages
 from diffdrive.effects.base import Push
 from diffdrive.errors import ParameterError
+from diffdrive.loop.encoders import read_encoders
 from diffdrive.loop.step import LoopState, initial_state, step_machine
-from diffdrive.model import actuator, plant, sensor
+from diffdrive.model import actuator, plant
 from diffdrive.model.friction import lugre_coefficients, steady_friction, stribeck_level
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar
@@ -70,13 +71,13 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, point: O
     vector, rebuild = _state_vector(settled, controller)
     _require_memory(vector.size, 1)
     reference = Reference(settled.plant.position, point.velocity, 0.0)
+    motor_zero = _motor_ahead(drive, settled)
 
     def step(vector: Array, force: Scalar) -> tuple[Array, Scalar]:
         state = rebuild(vector)
-        scale_position = state.plant.position + stages.scale_error(drive.effects, state.plant.position)
-        measured = sensor.measure(drive.sensor, scale_position, None)
-        controller_state, command = controller.step(
-            state.controller, reference, measured, state.actuator.applied, sampling.period
+        encoders = _zeroed(read_encoders(drive, state.plant.position, state.effects), motor_zero)
+        controller_state, command = controller.step_from_encoders(
+            state.controller, reference, encoders, state.actuator.applied, sampling.period
         )
         requested = actuator.step(drive.actuator, state.actuator, command.force)
         effect_states, applied = stages.actuator_output(
@@ -92,6 +93,23 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, point: O
     a, c = jax.jacfwd(step)(vector, force)
     b, _ = jax.jacfwd(step, argnums=1)(vector, force)
     return _balanced(a, b, c, sampling.period)
+
+
+def _motor_ahead(drive: Drive, settled: LoopState) -> Scalar | None:
+    """What the motor encoder reads beyond the table's position (m) in the steady motion; None without one."""
+    if drive.motor_encoder is None:
+        return None
+    return read_encoders(drive, settled.plant.position, settled.effects).at("motor") - settled.plant.position
+
+
+def _zeroed(encoders: Encoders, motor_zero: Scalar | None) -> Encoders:
+    """The readings with both encoders at one zero in the steady motion, in which the controller has settled.
+
+    The zero of an encoder has no part in a small motion; a step between them would run the controller into its limits.
+    """
+    if encoders.motor is None or motor_zero is None:
+        return encoders
+    return encoders._replace(motor=encoders.motor - motor_zero)
 
 
 def _steady_force(drive: Drive, point: OperatingPoint) -> Scalar:

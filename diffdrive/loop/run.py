@@ -64,6 +64,7 @@ class Run(Result, Signals[np.ndarray]):
             friction=np.asarray(frames.friction),
             friction_estimate=None if estimate is None else np.asarray(estimate.friction),
             load_estimate=None if estimate is None or estimate.load is None else np.asarray(estimate.load),
+            motor_position=None if frames.motor_position is None else np.asarray(frames.motor_position),
         )
 
     def sample_times(self) -> np.ndarray:
@@ -82,7 +83,10 @@ class Run(Result, Signals[np.ndarray]):
         channels = (self.time, self.measured, self.command)
         time, position, command = (np.asarray(signal, dtype=np.float64) for signal in channels)
         reference, load = (np.asarray(signal, dtype=np.float64) for signal in (self.reference, self.load))
-        return Log(name, time=time, position=position, command=command, reference=reference, load=load)
+        motor = self.motor_position
+        return Log(
+            name, time=time, position=position, command=command, reference=reference, load=load, motor_position=motor
+        )
 
 
 def divergence_bound(reference: np.ndarray, limits: Limits) -> float:

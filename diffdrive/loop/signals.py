@@ -25,6 +25,7 @@ class Signals(eqx.Module, Generic[Signal]):
     friction: Signal  # N, without the damping B_S v
     friction_estimate: Signal | None  # N
     load_estimate: Signal | None  # N
+    motor_position: Signal | None = eqx.field(default=None, kw_only=True)  # m, as the motor encoder reports it
 
     @property
     def error(self) -> Signal:

@@ -85,7 +85,7 @@ def simulate_loop(
     number = None if seed is None else _whole_number(seed)
     if seed is not None and (number is None or not -(2**63) <= number < 2**63):
         raise ParameterError(f"seed must be a whole number of 64 bits, or None for no noise, got {short_repr(seed)}")
-    key = jax.random.key(number) if number is not None and float(drive.sensor.noise) > 0 else None
+    key = jax.random.key(number) if number is not None and drive.has_noise else None
 
     def run_machine(machine: Drive) -> tuple[Run, float | None]:
         frames = compiled_rollout(*as_arrays((machine, controller)), loop_inputs(motion, loads), sampling, key, stride)

@@ -1,6 +1,6 @@
 """The closed loop, one control step at a time.
 
-    scale -> controller (with its observer) -> command -> actuator -> force -> plant -> ...
+    encoders -> controller (with its observer) -> command -> actuator -> force -> plant -> ...
 
 A step begins where a controller's interrupt routine begins, with the measurement; the estimate used at k rests on
 the measurement at k and on the force applied up to k, so there is no algebraic loop.
@@ -8,14 +8,14 @@ the measurement at k and on the force applied up to k, so there is no algebraic 
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import stages
 from diffdrive.effects.base import Push
-from diffdrive.model import actuator, plant, sensor
+from diffdrive.loop.encoders import read_encoders
+from diffdrive.model import actuator, plant
 from diffdrive.model.friction import friction_force, lugre_coefficients
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar, in_precision_of
@@ -41,6 +41,7 @@ class Frame(NamedTuple):
     force: Scalar  # N, that acts from k to k+1
     friction: Scalar  # N, without the damping B_S v
     estimate: ObserverEstimate | None
+    motor_position: Scalar | None = None  # m, as the motor encoder reports it
 
 
 class LoopState(NamedTuple):
@@ -92,14 +93,9 @@ def step(
 ) -> tuple[LoopState, Frame]:
     """One control period of the closed loop of a drive that has its machine effects in it."""
     table = state.plant
-    scale_position = table.position + stages.scale_error(drive.effects, table.position)
-    noise = None
-    if key is not None:  # the same noise in either precision
-        sample = jax.random.normal(jax.random.fold_in(key, state.count), dtype=jnp.float64)
-        noise = in_precision_of(scale_position, sample)
-    measured = sensor.measure(drive.sensor, scale_position, noise)
-    controller_state, command = controller.step(
-        state.controller, inputs.reference, measured, state.actuator.applied, sampling.period
+    encoders = read_encoders(drive, table.position, state.effects, key, state.count)
+    controller_state, command = controller.step_from_encoders(
+        state.controller, inputs.reference, encoders, state.actuator.applied, sampling.period
     )
     controller_state, command = once((controller_state, command))
     drive_state = actuator.step(drive.actuator, state.actuator, command.force)
@@ -110,10 +106,11 @@ def step(
     frame = Frame(
         table_position=table.position,
         velocity=table.velocity,
-        measured=measured,
+        measured=encoders.scale,
         command=command.force,
         force=applied.mean,
         friction=friction_force(coefficients, table.velocity, table.bristle),
         estimate=command.estimate,
+        motor_position=encoders.motor,
     )
     return LoopState(moved, drive_state, controller_state, state.count + 1, effect_states), frame

@@ -106,7 +106,7 @@ class Actuator(eqx.Module):
 
 
 class Sensor(eqx.Module):
-    """Linear scale at the table: white noise, then quantisation."""
+    """An encoder: white noise, then quantisation. In metres at the table, whatever it is mounted on."""
 
     resolution: Scalar | None = quantity(
         "m", "step of the measured position; absent: no quantisation", above=0.0, default=None
@@ -126,8 +126,15 @@ class Drive(eqx.Module):
     plant: Plant
     friction: Friction
     actuator: Actuator = Actuator()
-    sensor: Sensor = Sensor()
+    sensor: Sensor = Sensor()  # scale at the table
     effects: tuple[PyTree, ...] = ()  # of the catalogue (diffdrive.effects)
+    motor_encoder: Sensor | None = None  # beside the scale, before the screw; read as table travel
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether the readings of an encoder scatter."""
+        encoders = (self.sensor, self.motor_encoder)
+        return any(encoder is not None and float(encoder.noise) > 0 for encoder in encoders)
 
 
 class Sampling(eqx.Module):

@@ -1,7 +1,7 @@
 """What a controller is tuned on: motions, loads, machines and noise, side by side as the lanes of one program."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
 import equinox as eqx
@@ -78,7 +78,7 @@ class Ensemble(eqx.Module):
 def ensemble(scenarios: Sequence[Scenario], sampling: Sampling, *, settle: float) -> Ensemble:
     """The lanes of these scenarios; what they cost counts from `settle` (s) on.
 
-    The scale's quantiser is replaced by the white noise of the same variance, resolution^2 / 12. Raises
+    The quantiser of an encoder is replaced by the white noise of the same variance, resolution^2 / 12. Raises
     `ParameterError` where the machines differ in kind (delay samples, a limit on one alone) and `MotionError` where the
     motions differ in length or rate.
     """
@@ -120,7 +120,11 @@ def _stacked(trees: Sequence[Tree]) -> Tree:
 
 
 def _with_quantisation_noise(drive: Drive) -> Drive:
-    sensor = drive.sensor
-    rounding = 0.0 if sensor.resolution is None else float(sensor.resolution) ** 2 / 12
-    noise = float(np.sqrt(float(sensor.noise) ** 2 + rounding))
-    return eqx.tree_at(lambda d: d.sensor, drive, Sensor(None, noise), is_leaf=lambda leaf: leaf is sensor)
+    motor = drive.motor_encoder
+    return replace(drive, sensor=_dithered(drive.sensor), motor_encoder=None if motor is None else _dithered(motor))
+
+
+def _dithered(encoder: Sensor) -> Sensor:
+    """The encoder with white noise in the place of its steps."""
+    rounding = 0.0 if encoder.resolution is None else float(encoder.resolution) ** 2 / 12
+    return Sensor(None, float(np.sqrt(float(encoder.noise) ** 2 + rounding)))

@@ -155,10 +155,9 @@ class SweepPlan:
         return np.arange(part * self.part_size, min(self.samples, (part + 1) * self.part_size))
 
     def keys(self, numbers: np.ndarray) -> Array | None:
-        """Keys of the measuring noise of these machines; None where the scale has none."""
-        if not float(self.axis.drive.sensor.noise) > 0.0 and not any(
-            quantity.name == "sensor.noise" for quantity in self.varied
-        ):
+        """Keys of the measuring noise of these machines; None where no encoder has any."""
+        varied = {quantity.name for quantity in self.varied}
+        if not self.axis.drive.has_noise and not varied & {"sensor.noise", "motor_encoder.noise"}:
             return None
         base = jax.random.key(self.seed)
         return jax.vmap(lambda number: jax.random.fold_in(base, number))(jnp.asarray(numbers))
