@@ -6,7 +6,9 @@ from .logs.encoders.comparison import compare_encoders
 from .logs.encoders.result import EncoderComparison
 from .logs.log import Log
 from .logs.read import read_log, read_logs
+from .loop.recording import Recording, record
 from .loop.run import Run
+from .model.trace import Trace
 from .motion import load
 from .paper import paper_axis
 from .runtime import configure
@@ -17,9 +19,11 @@ __all__ = [
     "EncoderComparison",
     "LinearLoop",
     "Log",
+    "Recording",
     "Rollout",
     "Run",
     "StabilityMargins",
+    "Trace",
     "compare_encoders",
     "configure",
     "controllers",
@@ -32,6 +36,7 @@ __all__ = [
     "read_axis",
     "read_log",
     "read_logs",
+    "record",
     "rollout",
     "simulate",
 ]

@@ -9,14 +9,15 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from diffdrive.controllers import Controller
-from diffdrive.effects.base import Effect
+from diffdrive.controllers import Controller, UnknownController
+from diffdrive.effects.base import ActuatorEffect, Effect
 from diffdrive.effects.catalogue import in_order
 from diffdrive.errors import ParameterError
 from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.model.quantity import Directional, is_number, node_at, parameter_value, quantities, with_nodes
+from diffdrive.model.trace import Trace
 from diffdrive.motion.motion import Limits
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.messages import suggestion
@@ -46,11 +47,17 @@ class Axis(eqx.Module):
     limits: Limits = eqx.field(static=True, default=Limits())
     mapping: ColumnMapping = eqx.field(static=True, default_factory=ColumnMapping)
     name: str = eqx.field(static=True, default="axis")
+    trace: Trace = Trace()  # which rows its control writes into a log
 
     @property
     def rate(self) -> float:
         """Control rate (Hz)."""
         return self.sampling.rate
+
+    @property
+    def log_rate(self) -> float:
+        """Rate of the rows of its logs (Hz)."""
+        return self.rate if self.trace.rate is None else float(self.trace.rate)
 
     @property
     def gains(self) -> dict[str, Scalar]:
@@ -97,6 +104,59 @@ class Axis(eqx.Module):
     def with_drive(self, drive: Drive) -> "Axis":
         """The axis with another machine, in its controller's model, too."""
         return replace(self, drive=drive, controller=self.controller.with_model(drive))
+
+    @property
+    def unseen_controller(self) -> str:
+        """Why its logs do not show all that its controller was given and what it answered; "" where they do."""
+        trace = self.trace
+        if not self.controller.can_simulate:
+            return ""
+        stride = trace.stride(self.rate)
+        if stride > 1:
+            kind = "the mean of" if trace.sample == "mean" else "one in"
+            return f"the trace has {kind} {stride} samples of the controller, {self.log_rate:g} of {self.rate:g} Hz"
+        if trace.command != "set-point":
+            return "the trace has the force that acts, not the command"
+        if trace.command_offset is not None:
+            return "the trace has the command of another instant than the position"
+        if others := self.controller.feedback - {trace.position_encoder}:
+            return f"the controller feeds back the {' and the '.join(sorted(others))} encoder, position is of another"
+        return ""
+
+    def as_logged(self) -> "Axis":
+        """The axis as its logs show it: at the rate of their rows, measured by the encoder that `position` is of.
+
+        What lies between the force and the column `command` is no part of it, the delay is from one to the other. The
+        controller is unknown where it is unseen (`unseen_controller`).
+        """
+        trace, drive = self.trace, self.drive
+        if trace == Trace() and not self.unseen_controller:
+            return self
+        share = self.log_rate / self.rate
+        effects, actuator = drive.effects, drive.actuator
+        delay = actuator.delay_samples + float(actuator.delay_fraction or 0.0)
+        if trace.command == "force":
+            effects, delay = tuple(one for one in effects if not isinstance(one, ActuatorEffect)), 0.0
+        rows = max(0.0, share * delay + float(trace.command_offset or 0.0) * self.log_rate)
+        own = replace(actuator, delay_samples=int(rows), delay_fraction=rows % 1.0 or None)
+        seen = replace(drive, actuator=own, effects=tuple(one.at_rate(share) for one in effects))
+        if trace.position_encoder == "motor" and drive.motor_encoder is not None:
+            seen = replace(seen, sensor=drive.motor_encoder)
+        controller = UnknownController() if self.unseen_controller else self.controller
+        sampling = self.sampling if share == 1.0 else Sampling(self.log_rate)
+        return replace(self, drive=seen, controller=controller, sampling=sampling, trace=Trace())
+
+    def with_logged_drive(self, drive: Drive) -> "Axis":
+        """The axis with a machine that was found from its logs: `as_logged` with other numbers.
+
+        Encoders stay as they are, and so does what lies between the controller and the logged command; the delay, too.
+        """
+        if self.as_logged() is self:
+            return self.with_drive(drive)
+        share, own = self.log_rate / self.rate, self.drive
+        kept = [one for one in own.effects if self.trace.command == "force" and isinstance(one, ActuatorEffect)]
+        effects = in_order((*kept, *(one.at_rate(1.0 / share) for one in drive.effects)))
+        return self.with_drive(replace(own, plant=drive.plant, friction=drive.friction, effects=effects))
 
     def with_controller(self, controller: Controller) -> "Axis":
         """The axis under another controller."""

@@ -1,6 +1,7 @@
 """An axis simulated: every signal of one motion, or a pure function of the axis for `jit`, `grad` and `vmap`."""
 
 import warnings
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -15,6 +16,7 @@ from diffdrive.loop.rollout import compiled_rollout, loop_inputs
 from diffdrive.loop.run import Run
 from diffdrive.loop.signals import Signals
 from diffdrive.loop.simulate import simulate_loop
+from diffdrive.model.trace import check_trace
 from diffdrive.motion.motion import Motion
 from diffdrive.numerics.arrays import Scalar, as_arrays
 from diffdrive.support.rates import require_same_rate
@@ -57,9 +59,11 @@ def simulate(
 
     """
     drive = checked_machine(axis, machine).drive
+    check_trace(axis.trace, axis.rate, has_motor_encoder=drive.motor_encoder is not None)
     run = simulate_loop(
         drive, axis.controller, motion, load, sampling=axis.sampling, limits=axis.limits, seed=seed, every=every
     )
+    run = replace(run, trace=axis.trace, seed=None if seed is None else int(seed))
     for note in run.notes:
         warnings.warn(note, LoadEstimatorWarning, stacklevel=2)
     return run.require_ok() if throw else run

@@ -1,4 +1,4 @@
-"""Logs as identification and diagnosis take them: at the axis's rate, long enough, each once, and looked over."""
+"""Logs as identification and diagnosis take them: at the trace's rate, long enough, each once, and looked over."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -103,12 +103,12 @@ def check_logs(
     """Look logs over before they are used: what in them would mislead.
 
     `files` are where they are from, if they are, for messages; `checked_before` are logs that were looked over before,
-    of the same machine. Raises `LogError` for a log at another rate than the axis's, one too short to be used, and one
-    that is given twice.
+    of the same machine. Raises `LogError` for a log at another rate than the axis's trace, one that is too short
+    to be used, and one that is given twice.
     """
     labels = [log.name for log in logs] if files is None else [str(file) for file in files]
     for place, log in zip(labels, logs, strict=True):
-        _require_rate(place, log, axis.rate)
+        _require_rate(place, log, axis)
         _require_length(place, log)
     _require_different(labels, logs, checked_before, None if files is None else [file.resolve() for file in files])
     found = [(log.name, finding) for log in logs for finding in examine(log, axis)]
@@ -137,13 +137,18 @@ def with_load(log: Log, load: float | None) -> Log:
     return replace(log, load=np.full(len(log.time), load))
 
 
-def _require_rate(path: str, log: Log, rate: float) -> None:
-    if not is_same_rate(log.rate, rate, CLOCK_TOLERANCE):
+def _require_rate(path: str, log: Log, axis: Axis) -> None:
+    if is_same_rate(log.rate, axis.log_rate, CLOCK_TOLERANCE):
+        return
+    if axis.trace.rate is not None:
         raise LogError(
-            f"{path}: is sampled at {log.rate:g} Hz, the drive file's controller runs at {rate:g} Hz: log every sample "
-            "of the controller; if that is what was logged, set [sampling] rate to the log's rate; if the trace cannot "
-            'be faster, set that rate and [controller] kind = "unknown"'
+            f"{path}: is sampled at {log.rate:g} Hz, [trace] rate of the drive file is {axis.log_rate:g} Hz: correct it"
         )
+    raise LogError(
+        f"{path}: is sampled at {log.rate:g} Hz, the drive file's controller runs at {axis.rate:g} Hz: log every "
+        "sample of the controller; if that is what was logged, set [sampling] rate to the log's rate; if the trace "
+        'cannot be faster, state [trace] rate, or, for an unknown controller, that [sampling] rate and kind = "unknown"'
+    )
 
 
 def _require_length(path: str, log: Log) -> None:

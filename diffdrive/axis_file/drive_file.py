@@ -27,6 +27,7 @@ from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs.mapping import mapping_tables, parse_mapping
 from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, Sensor, check_drive
 from diffdrive.model.quantity import Directional, Quantity, check, quantity_table
+from diffdrive.model.trace import CHOICES, Trace, check_trace
 from diffdrive.motion.motion import Limits
 from diffdrive.support.atomic_write import write_text
 from diffdrive.support.messages import short_repr, shortened
@@ -163,6 +164,24 @@ def _limits(section: TomlSection) -> Limits:
     return Limits(stroke=ends, **limits)
 
 
+def _trace(section: TomlSection, rate: float, drive: Drive) -> Trace:
+    """The table [trace] of a control at `rate` (Hz)."""
+    words = {name: section.take(name, known[0]) for name, known in CHOICES.items()}
+    traced = section.number("rate", "Hz", rate) if "rate" in section.table else None
+    trace = section.build(Trace, rate=traced, **words)
+    try:
+        check_trace(trace, rate, has_motor_encoder=drive.motor_encoder is not None)
+    except ParameterError as error:
+        raise DriveFileError(f"{section.source}: {error}") from None
+    return trace
+
+
+def _trace_table(trace: Trace) -> TomlTable:
+    """The keys of [trace] that are not at their defaults."""
+    words = {name: getattr(trace, name) for name, known in CHOICES.items() if getattr(trace, name) != known[0]}
+    return ({} if trace.rate is None else {"rate": float(trace.rate)}) | words | quantity_table(trace)
+
+
 def _effects(section: TomlSection) -> tuple[Effect, ...]:
     """The effects of the tables [effects.NAME], in the catalogue's order."""
     effects = []
@@ -180,7 +199,7 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
     root = TomlSection(source, "drive file", tables)
     sections = {
         name: TomlSection(source, name, root.take(name, {}))
-        for name in ("plant", "friction", "actuator", "sensor", "controller", "sampling", "limits")
+        for name in ("plant", "friction", "actuator", "sensor", "controller", "sampling", "trace", "limits")
     }
     try:
         mapping = parse_mapping(*(cast(TomlTable, root.take(key, {})) for key in ("columns", "units", "shifts")))
@@ -223,9 +242,10 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
                 f"{encoder.resolution:g} m is coarser than a hundredth of the stroke; is it in micrometres?",
             )
     controller = build_controller(sections["controller"], drive)
+    trace = _trace(sections["trace"], sampling.rate, drive)
     for section in sections.values():
         section.done()
-    return Axis(drive, controller, sampling, limits, mapping)
+    return Axis(drive, controller, sampling, limits, mapping, trace=trace)
 
 
 def read_axis(path: str | Path) -> Axis:
@@ -262,6 +282,8 @@ def axis_tables(axis: Axis) -> dict[str, TomlTable]:
     }
     if axis.sampling.substeps is not None:
         tables["sampling"]["substeps"] = axis.sampling.substeps
+    if trace := _trace_table(axis.trace):
+        tables["trace"] = trace
     if np.isfinite(limits.stroke).any():
         tables["limits"]["stroke"] = list(limits.stroke)
     for name in ("speed", "acceleration"):

@@ -9,6 +9,7 @@ from diffdrive.controllers import KINDS, Keys
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.model.parameters import Actuator, Friction, Plant, Sensor
 from diffdrive.model.quantity import Quantity
+from diffdrive.model.trace import Trace
 
 _PARTS: tuple[tuple[str, type[eqx.Module]], ...] = (
     ("plant", Plant),
@@ -44,6 +45,19 @@ _OTHER_ROWS = (
     ("actuator", "", "delay_samples", "-", ">= 0, whole", "0", "whole control periods between command and force"),
     ("sampling", "", "rate", "Hz", "10 to 1e6", "10000", "control rate"),
     ("sampling", "", "substeps", "-", ">= 1, whole", "of 20 us each at most", "plant steps a control period"),
+    ("trace", "", "rate", "Hz", "control rate / 1, 2, 3, ...", "of the control", "rows of a log"),
+    (
+        "trace", "", "sample", "", "snapshot, mean", "snapshot",
+        "a row's values: those of its control step, or their mean over the steps since the row before",
+    ),
+    (
+        "trace", "", "command", "", "set-point, force", "set-point",
+        "what the command column holds: the controller's command, or the force that acts (a measured current)",
+    ),
+    (
+        "trace", "", "encoders", "", "all, scale, motor", "all",
+        "whose positions are logged; motor: `position` is the motor encoder's",
+    ),
     ("limits", "", "stroke", "m", "[lowest, highest]", "unlimited", "motions beyond are refused"),
     ("limits", "", "speed", "m/s", "> 0", "unlimited", "likewise"),
     ("limits", "", "acceleration", "m/s^2", "> 0", "unlimited", "likewise"),
@@ -100,6 +114,7 @@ def reference() -> Iterator[tuple[str, ...]]:
     yield from ((f"[{table}]", *row) for table, *row in (first, *_option_rows(), *_OTHER_ROWS))
     for table, cls in _PARTS:
         yield from _parameter_rows(table, "", cls)
+    yield from _parameter_rows("trace", "", Trace)
     for table, kinds, keys in _controller_keys():
         yield from _parameter_rows(table, kinds, keys.parameters, set(keys.names()))
     for name, effect in EFFECTS.items():

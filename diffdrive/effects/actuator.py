@@ -77,6 +77,10 @@ class LoopDelay(ActuatorEffect):
     stage: ClassVar[Stage] = Stage.DELAYED
     delay: Scalar = quantity("1", "control periods", at_least=0.0, at_most=float(LONGEST_DELAY), default=0.0)
 
+    def at_rate(self, share: float) -> "LoopDelay":
+        """As many seconds, in the periods of that rate."""
+        return LoopDelay(self.delay * share)
+
     def init(self, force: Scalar) -> PyTree:
         """Past forces, the latest first."""
         return (force,) * LONGEST_DELAY

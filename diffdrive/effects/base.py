@@ -107,6 +107,10 @@ class Effect(eqx.Module):
         """The smooth variant, for gradients: nothing that rounds or switches (`loop.smooth`). By default itself."""
         return self
 
+    def at_rate(self: Smoothed, share: float) -> Smoothed:
+        """The same at a rate that is this share of the control's, where it counts periods. By default itself."""
+        return self
+
 
 class MachineEffect(Effect):
     """The same kind of machine with other parameters."""

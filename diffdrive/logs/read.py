@@ -66,8 +66,8 @@ def read_log(
         shifts: Whole samples by which to move channels that were recorded early or late.
         name: The log's; by default the file's.
         mapping: Columns, units and shifts in the place of the axis's.
-        rate: Of the controller (Hz), by default the axis's: the log is checked against it, and one without a time takes
-            its time from it.
+        rate: Of the rows (Hz), by default that of the axis's trace: the log is checked against it, and one without a
+            time takes its time from it.
 
     Raises:
         LogError: The log cannot be read or used: one line that names the file, the row or column, and the remedy.
@@ -80,7 +80,7 @@ def read_log(
     mapping = mapping or (ColumnMapping() if axis is None else axis.mapping)
     if columns or units or shifts:
         mapping = mapping.overridden(columns or {}, units or {}, shifts or {})
-    rate = rate if rate is not None or axis is None else axis.rate
+    rate = rate if rate is not None or axis is None else axis.log_rate
     file = Path(source) if isinstance(source, str | Path) else None
     name = name or ("log" if file is None else file.stem)
     if rate is not None and not (np.isfinite(rate) and rate > 0):
@@ -151,7 +151,7 @@ def read_logs(
             frame, of that name alone.
         names: One for each log; by default those of the files, with the folder's where two files are called the same.
         mapping: Columns, units and shifts in the place of the axis's.
-        rate: Of the controller (Hz), by default the axis's.
+        rate: Of the rows (Hz), by default that of the axis's trace.
 
     Raises:
         LogError: One of them cannot be read or used, or there are not as many names as logs.

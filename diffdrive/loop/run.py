@@ -4,11 +4,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
+import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import PyTree
 
 from diffdrive.logs.log import Log
+from diffdrive.loop.recording import record, rows_of
 from diffdrive.loop.signals import Signals
+from diffdrive.model.trace import Trace
 from diffdrive.motion.motion import Limits, Motion
 from diffdrive.results import Result, Status
 
@@ -22,6 +26,8 @@ class Run(Result, Signals[np.ndarray]):
     reference_velocity: np.ndarray  # m/s
     status: Status = OK
     notes: tuple[str, ...] = ()
+    trace: Trace = Trace()  # of the control
+    seed: int | None = eqx.field(static=True, default=None)  # of the noise of the trace
 
     schema: ClassVar[str] = "run/1"
 
@@ -79,14 +85,17 @@ class Run(Result, Signals[np.ndarray]):
         return float(np.sqrt(np.mean(self.error[self.between(start, end)] ** 2)))
 
     def log(self, name: str = "run") -> Log:
-        """The log that the machine itself would have written of this run."""
-        channels = (self.time, self.measured, self.command)
-        time, position, command = (np.asarray(signal, dtype=np.float64) for signal in channels)
-        reference, load = (np.asarray(signal, dtype=np.float64) for signal in (self.reference, self.load))
-        motor = self.motor_position
-        return Log(
-            name, time=time, position=position, command=command, reference=reference, load=load, motor_position=motor
-        )
+        """The log that the machine itself would have written of this run: the rows of its control's trace.
+
+        Raises `ParameterError` where the trace's rate does not divide that of the samples that were kept.
+        """
+        rows = record(self, self.trace, None if self.seed is None else jax.random.key(self.seed))
+        columns = {column: values for column, values in rows._asdict().items() if values is not None}
+        return Log(name, **{column: np.asarray(values, dtype=np.float64) for column, values in columns.items()})
+
+    def rows(self) -> slice:
+        """The samples at which the trace writes its rows."""
+        return rows_of(self, self.trace)
 
 
 def divergence_bound(reference: np.ndarray, limits: Limits) -> float:

@@ -41,12 +41,12 @@ MUCH_LOAD, FAR_OFF = 500.0, 0.2  # N, and share of the load, by which an estimat
 
 
 def write_run(path: Path, run: Run) -> None:
-    """A run as CSV in SI units: the channels of its log, so that `read_log` reads it, then what only it knows.
+    """A run as CSV in SI units: the channels of its log, so that `read_log` reads it, then what only it knows there.
 
     The command says that it is in newtons, since a drive file may know volts and amperes as well.
     """
-    signals = {column: getattr(run, name) for column, name in _SIMULATED.items()}
-    channels = run.log().channels | {column: values for column, values in signals.items() if values is not None}
+    signals, rows = {column: getattr(run, name) for column, name in _SIMULATED.items()}, run.rows()
+    channels = run.log().channels | {column: values[rows] for column, values in signals.items() if values is not None}
     write_csv(path, channels, {name: CHANNELS[name].unit for name in FORCES if name in channels})
 
 

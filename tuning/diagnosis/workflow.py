@@ -160,8 +160,8 @@ def diagnose(
 
 def diagnose_checked(axis: Axis, used: CheckedLogs, *, most_effects: int = MOST_EFFECTS, **more: Any) -> Diagnosis:
     """The engine's answer, as sure as the checks of the logs allow; `more` is what the engine takes."""
-    most = 0 if is_void(used) else most_effects
-    found = diagnose_drive(axis.drive, axis.controller, used.logs, most_effects=most, **more)
+    most, seen = 0 if is_void(used) else most_effects, axis.as_logged()
+    found = diagnose_drive(seen.drive, seen.controller, used.logs, most_effects=most, **more)
     return downgrade(found, used.fatal)
 
 
@@ -178,7 +178,7 @@ def diagnosis_result(axis: Axis, used: CheckedLogs, found: Diagnosis, offer: Exp
         }
         for log, finding in used.notable
     ]
-    noise = unstated_noise(axis.drive, float(found.logged.noise)) if searched else ""
+    noise = unstated_noise(axis.as_logged().drive, float(found.logged.noise)) if searched else ""
     details = as_json(found, offer) | {
         "logs": [log.name for log in used.logs], "findings": findings, "searched": searched, "scale_noise": noise,
     }  # fmt: skip
@@ -211,7 +211,7 @@ def augmented_axis(axis: Axis, found: Diagnosis) -> Axis:
 
     Raises `DiffdriveError` where no axis can be that.
     """
-    return dataclasses.replace(axis.with_drive(augmented_drive(found)), name="augmented")
+    return dataclasses.replace(axis.with_logged_drive(augmented_drive(found)), name="augmented")
 
 
 def augmented_drive(found: Diagnosis) -> Drive:
@@ -226,7 +226,7 @@ def augmented_drive(found: Diagnosis) -> Drive:
 def next_motion_of(axis: Axis, used: CheckedLogs, found: Diagnosis) -> Experiment:
     """The motion that would decide; before any, what is to be corrected where a log is wrong."""
     if not used.fatal:
-        return next_experiment(found, axis)
+        return next_experiment(found, axis.as_logged())
     log, first = _most_urgent(found, used.fatal)
     return Experiment("", [], 0.0, f"before any motion, correct {log}: {first.remedy}")
 

@@ -44,7 +44,7 @@ class IdentificationResult(Result):
     logs: CheckedLogs
     held_out: CheckedLogs
     notes: tuple[str, ...]
-    initial_axis: Axis  # before
+    initial_axis: Axis  # before, as the logs show it
     status: Status
     doubts: tuple[str, ...] = ()  # what speaks against the answer of a search that converged
 
@@ -81,7 +81,7 @@ class IdentificationResult(Result):
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:
         """How far the axis is from each log, held out or not, before and after: some simulations of each log."""
-        found, delay = self.axis.drive, self.estimate("delay").value
+        found, delay = self.fit.drive, self.estimate("delay").value
         return (
             *gaps(self.initial_axis, found, delay, self.logs.logs, "identified from"),
             *gaps(self.initial_axis, found, delay, self.held_out.logs, "held out"),
@@ -203,11 +203,12 @@ def identify_checked(
 ) -> IdentificationResult:
     """`identify` from logs that were looked over, whatever was found in them; finished searches are in the `store`."""
     _require_no_effects(axis)
+    seen = axis.as_logged()
     with searching(progress, "fitting friction, mass and delay") as step:
         found = fit_drive(
-            used.logs, axis.drive, fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=step,
+            used.logs, seen.drive, fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=step,
         )  # fmt: skip
-    return _result(axis, found, used, held_out)
+    return _result(axis, seen, found, used, held_out)
 
 
 def _require_no_effects(axis: Axis) -> None:
@@ -217,17 +218,21 @@ def _require_no_effects(axis: Axis) -> None:
         )
 
 
-def _result(axis: Axis, found: Identification, used: CheckedLogs, held_out: CheckedLogs) -> IdentificationResult:
-    """The result, with what is to be said of it."""
-    against = doubts(found, axis.drive, used.logs, held_out.logs) if found.code in BELIEVABLE else []
+def _result(
+    axis: Axis, seen: Axis, found: Identification, used: CheckedLogs, held_out: CheckedLogs
+) -> IdentificationResult:
+    """The result, with what is to be said of it; `seen` is the axis as its logs show it."""
+    against = doubts(found, seen.drive, used.logs, held_out.logs) if found.code in BELIEVABLE else []
     findings = [*used.notable, *held_out.notable]
     notes = [f"{log}: {finding.message}; {finding.remedy}" for log, finding in findings]
     notes += [*against, *found.notes, *(one.message for one in determined_sums(found)), found.adequacy.says]
-    unstated = unstated_noise(axis.drive, found.noise)
+    unstated = unstated_noise(seen.drive, found.noise)
     notes += [unstated] if unstated else []
+    if axis.unseen_controller:
+        notes.append(f"{axis.unseen_controller}: the delay found is that of the trace, and [actuator] stays as it was")
     return IdentificationResult(
-        replace(axis.with_drive(found.drive), name="identified"), tuple(found.estimates), found, used, held_out,
-        tuple(notes), axis, _status(found, against), tuple(against),
+        replace(axis.with_logged_drive(found.drive), name="identified"), tuple(found.estimates), found, used, held_out,
+        tuple(notes), seen, _status(found, against), tuple(against),
     )  # fmt: skip
 
 

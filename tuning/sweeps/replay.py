@@ -1,6 +1,7 @@
 """Any machine of a sweep again, from its number: its drive, its load, its noise, and every signal of its run."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
@@ -87,9 +88,8 @@ def machine_run(plan: SweepPlan, machine: SweepMachine, controller: str, motion:
         as_arrays(machine.drive), as_arrays(control), inputs, plan.axis.sampling, machine.key, every
     )
     limit = force_limit(machine.drive)
-    return with_status(
-        Run.from_frames(planned, loads, frames, every), plan.axis.limits, None if limit is None else float(limit)
-    )
+    run = replace(Run.from_frames(planned, loads, frames, every), trace=plan.axis.trace, seed=machine.number)
+    return with_status(run, plan.axis.limits, None if limit is None else float(limit))
 
 
 def run_errors(plan: SweepPlan, run: Run) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 """Find the traps that real logs hold, before anything is identified from them: docs/method/log-checks.md lists them."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -67,15 +67,28 @@ def examine(log: Log, axis: Axis | None = None) -> list[Finding]:
     """
     findings = _unreadable_findings(log)
     if not findings:
-        findings = _all_findings(log, axis)
-        findings = _verify_repairs(findings, log, axis)
+        seen = None if axis is None else axis.as_logged()
+        findings = _all_findings(log, seen)
+        findings = [*_verify_repairs(findings, log, seen), *_of_trace(axis)]
     return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
 
 
 def examine_together(logs: Sequence[Log], axis: Axis | None = None) -> list[Finding]:
     """Where several logs of one machine contradict one another: none if each implies the same mass and friction."""
     readable = [log for log in logs if not _unreadable_findings(log)]
-    return [*together.contradictions(readable, axis)]
+    return [*together.contradictions(readable, None if axis is None else axis.as_logged())]
+
+
+def _of_trace(axis: Axis | None) -> Iterator[Finding]:
+    """What cannot be said of the logs of this axis, by the trace that its file states."""
+    if axis is not None and axis.unseen_controller:
+        yield Finding(
+            "note",
+            "command",
+            f"{axis.unseen_controller}: what the controller made of this log is not computed again",
+            "no action needed: mass, friction and effects are found from the command as it is logged",
+            "trace",
+        )
 
 
 def _unreadable_findings(log: Log) -> list[Finding]:

@@ -35,6 +35,7 @@ CAUSES = {
     "machines differ": "logs of one machine contradict one another",
     "lost motion": "two encoders differ by the direction of motion: backlash, or wind-up under friction",
     "screw": "two encoders differ along the stroke or over time: pitch, eccentricity, heat, reading",
+    "trace": "the trace of the drive file does not show all that the controller did",
     "unreadable": "nothing can be made of the samples",
     "motion": "the motion limits what can be learnt",
     "range": "a value that the axis cannot have",
