@@ -11,6 +11,7 @@ import jax
 
 from diffdrive.axis import Axis
 from diffdrive.effects.actuator import ForceGain, LoopDelay
+from diffdrive.effects.base import ScaleEffect
 from diffdrive.effects.catalogue import EFFECTS, in_order
 from diffdrive.errors import DiffdriveError, ParameterError
 from diffdrive.logs.checks.finding import Finding
@@ -158,11 +159,21 @@ def diagnose(
     return result.require_ok() if throw else result
 
 
-def diagnose_checked(axis: Axis, used: CheckedLogs, *, most_effects: int = MOST_EFFECTS, **more: Any) -> Diagnosis:
+def diagnose_checked(
+    axis: Axis, used: CheckedLogs, *, most_effects: int = MOST_EFFECTS, without: Sequence[str] = (), **more: Any
+) -> Diagnosis:
     """The engine's answer, as sure as the checks of the logs allow; `more` is what the engine takes."""
     most, seen = 0 if is_void(used) else most_effects, axis.as_logged()
-    found = diagnose_drive(seen.drive, seen.controller, used.logs, most_effects=most, **more)
+    without = [*without, *unseen_effects(axis)]
+    found = diagnose_drive(seen.drive, seen.controller, used.logs, most_effects=most, without=without, **more)
     return downgrade(found, used.fatal)
+
+
+def unseen_effects(axis: Axis) -> list[str]:
+    """The effects that the position of the axis's logs cannot show: errors of the screw on a scale beside the motor."""
+    if axis.drive.motor_encoder is None or axis.trace.position_encoder == "motor":
+        return []
+    return [name for name, effect in EFFECTS.items() if issubclass(effect, ScaleEffect) and effect.of_screw]
 
 
 def diagnosis_result(axis: Axis, used: CheckedLogs, found: Diagnosis, offer: Experiment) -> DiagnosisResult:
