@@ -119,9 +119,16 @@ class Axis(eqx.Module):
             return "the trace has the force that acts, not the command"
         if trace.command_offset is not None:
             return "the trace has the command of another instant than the position"
-        if others := self.controller.feedback - {trace.position_encoder}:
+        if others := self.controller.feedback_encoders - {trace.position_encoder}:
             return f"the controller feeds back the {' and the '.join(sorted(others))} encoder, position is of another"
         return ""
+
+    @property
+    def logs_show_delay(self) -> bool:
+        """Whether the delay from the command to the force is that of the rows of a log, in control steps."""
+        trace = self.trace
+        is_set_point = trace.command == "set-point" and trace.command_offset is None
+        return is_set_point and trace.stride(self.rate) == 1
 
     def as_logged(self) -> "Axis":
         """The axis as its logs show it: at the rate of their rows, measured by the encoder that `position` is of.
@@ -149,14 +156,18 @@ class Axis(eqx.Module):
     def with_logged_drive(self, drive: Drive) -> "Axis":
         """The axis with a machine that was found from its logs: `as_logged` with other numbers.
 
-        Encoders stay as they are, and so does what lies between the controller and the logged command; the delay, too.
+        Encoders stay as they are, and what lies between the controller and the logged command; so does the actuator,
+        where logs do not show its delay.
         """
         if self.as_logged() is self:
             return self.with_drive(drive)
         share, own = self.log_rate / self.rate, self.drive
         kept = [one for one in own.effects if self.trace.command == "force" and isinstance(one, ActuatorEffect)]
         effects = in_order((*kept, *(one.at_rate(1.0 / share) for one in drive.effects)))
-        return self.with_drive(replace(own, plant=drive.plant, friction=drive.friction, effects=effects))
+        actuator = drive.actuator if self.logs_show_delay else own.actuator
+        return self.with_drive(
+            replace(own, plant=drive.plant, friction=drive.friction, actuator=actuator, effects=effects)
+        )
 
     def with_controller(self, controller: Controller) -> "Axis":
         """The axis under another controller."""

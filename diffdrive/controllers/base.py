@@ -77,7 +77,7 @@ FEEDBACK_FACTOR, FILTER_FACTOR, CUTOFF_FACTOR = 30.0, 1e3, 10.0
 class Controller(eqx.Module):
     """A controller as its interrupt routine sees it: once a period, from reference, scale and last force.
 
-    One that uses the motor encoder says so in `feedback`, and has a `step_from_encoders` of its own.
+    One that uses the motor encoder says so in `feedback_encoders`, and has a `step_from_encoders` of its own.
     """
 
     @property
@@ -114,7 +114,7 @@ class Controller(eqx.Module):
         return False
 
     @property
-    def feedback(self) -> frozenset[str]:
+    def feedback_encoders(self) -> frozenset[str]:
         """The encoders that it uses: "scale", "motor" or both."""
         return frozenset({"scale"})
 

@@ -19,6 +19,7 @@ from diffdrive.controllers.base import (
     Reference,
     Tunable,
 )
+from diffdrive.controllers.feedback import FEEDBACK, FEEDBACK_OPTIONS, feedback_problem, read_feedback
 from diffdrive.controllers.kinds import FEEDFORWARD, Keys, Kind, Option, Section, read_feedforward
 from diffdrive.errors import ParameterError
 from diffdrive.model.parameters import Drive
@@ -27,9 +28,6 @@ from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.pipeline import Pipeline, filled, pushed
 from diffdrive.support.messages import short_repr
 from diffdrive.support.typing import TomlTable
-
-ENCODERS = ("scale", "motor")
-FEEDBACK = ("position_feedback", "velocity_feedback")
 
 
 class CascadeState(NamedTuple):
@@ -63,7 +61,7 @@ class Cascade(Controller):
         if problem is not None:
             raise ParameterError(f"velocity_samples {problem}")
         for name in FEEDBACK:
-            problem = _feedback_problem(getattr(self, name))
+            problem = feedback_problem(getattr(self, name))
             if problem is not None:
                 raise ParameterError(f"{name} {problem}")
 
@@ -88,7 +86,7 @@ class Cascade(Controller):
         return float(self.ki) == 0
 
     @property
-    def feedback(self) -> frozenset[str]:
+    def feedback_encoders(self) -> frozenset[str]:
         return frozenset({self.position_feedback, self.velocity_feedback})
 
     @property
@@ -100,7 +98,7 @@ class Cascade(Controller):
 
     def table(self) -> TomlTable:
         options = {"feedforward": self.feedforward is not None, "velocity_samples": self.velocity_samples}
-        feedback = {name: getattr(self, name) for name in FEEDBACK} if "motor" in self.feedback else {}
+        feedback = {name: getattr(self, name) for name in FEEDBACK} if "motor" in self.feedback_encoders else {}
         return options | feedback | quantity_table(self)
 
     def with_model(self, drive: Drive) -> "Cascade":
@@ -146,28 +144,7 @@ def _samples_problem(samples: object) -> str | None:
     return None
 
 
-def _feedback_problem(encoder: object) -> str | None:
-    """Why a loop cannot be closed over this encoder; None where it can."""
-    return None if encoder in ENCODERS else f'must be "scale" or "motor", got {short_repr(encoder)}'
-
-
-def _read_feedback(section: Section, drive: Drive) -> dict[str, object]:
-    """The encoders of both loops; one that the drive has not is an error."""
-    feedback = {name: section.take(name, "scale") for name in FEEDBACK}
-    for name, encoder in feedback.items():
-        problem = _feedback_problem(encoder)
-        if problem is None and encoder == "motor" and drive.motor_encoder is None:
-            problem = 'is "motor", and the file has no table [motor_encoder]: state that encoder, or use "scale"'
-        if problem is not None:
-            raise section.fail(name, problem)
-    return feedback
-
-
 VELOCITY_SAMPLES = Option("velocity_samples", "-", ">= 1, whole", "1", "samples over which the velocity is differenced")
-FEEDBACK_OPTIONS = tuple(
-    Option(name, "", "scale, motor", "scale", f"encoder of the {name.split('_')[0]} loop; motor needs [motor_encoder]")
-    for name in FEEDBACK
-)
 
 
 def _build(section: Section, drive: Drive) -> Cascade:
@@ -176,7 +153,7 @@ def _build(section: Section, drive: Drive) -> Cascade:
     problem = _samples_problem(samples)
     if problem is not None:
         raise section.fail("velocity_samples", problem)
-    return section.build(Cascade, feedforward=feedforward, velocity_samples=samples, **_read_feedback(section, drive))
+    return section.build(Cascade, feedforward=feedforward, velocity_samples=samples, **read_feedback(section, drive))
 
 
 KIND = Kind(

@@ -11,6 +11,7 @@ from diffdrive.loop.signals import Signals
 from diffdrive.model.trace import Trace
 from diffdrive.numerics.arrays import Scalar
 
+Signal = Float[Array, "..."] | Float[np.ndarray, "..."]  # time is its last axis
 AnySignals = Signals[np.ndarray] | Signals[Array]
 
 COLUMN = 2  # folded into a trace's key: its noise is independent of that of the encoders
@@ -19,12 +20,12 @@ COLUMN = 2  # folded into a trace's key: its noise is independent of that of the
 class Recording(NamedTuple):
     """The columns of a trace's rows, [rows] each; lanes come first where the signals have them."""
 
-    time: Float[Array, " rows"]  # s
-    reference: Float[Array, "*lanes rows"]  # m
-    position: Float[Array, "*lanes rows"]  # m
-    motor_position: Float[Array, "*lanes rows"] | None  # m
-    command: Float[Array, "*lanes rows"]  # N
-    load: Float[Array, "*lanes rows"]  # N
+    time: Signal  # s
+    reference: Signal  # m
+    position: Signal  # m
+    motor_position: Signal | None  # m
+    command: Signal  # N
+    load: Signal  # N
 
 
 def record(signals: AnySignals, trace: Trace, key: Array | None = None) -> Recording:
@@ -41,7 +42,7 @@ def record(signals: AnySignals, trace: Trace, key: Array | None = None) -> Recor
     """
     times, rows = signals.sample_times(), rows_of(signals, trace)
 
-    def sampled(signal: Float[Array, "*lanes n"]) -> Float[Array, "*lanes rows"]:
+    def sampled(signal: Signal) -> Signal:
         if trace.sample == "snapshot" or rows.step == 1:
             return signal[..., rows]
         whole = signal[..., : rows.stop]
@@ -54,13 +55,15 @@ def record(signals: AnySignals, trace: Trace, key: Array | None = None) -> Recor
     if trace.command_noise is not None and key is not None:
         normal = jax.random.normal(jax.random.fold_in(key, COLUMN), jnp.shape(command), jnp.float64)
         command = command + trace.command_noise * normal
-    motor = None if trace.encoders == "scale" or signals.motor_position is None else sampled(signals.motor_position)
-    is_motors = trace.encoders == "motor" and motor is not None
+    position = sampled(signals.measured)
+    motor_position = None if signals.motor_position is None else sampled(signals.motor_position)
+    if trace.encoders == "motor" and motor_position is not None:
+        position = motor_position
     return Recording(
         time=times[rows],
         reference=sampled(signals.reference),
-        position=motor if is_motors else sampled(signals.measured),
-        motor_position=None if is_motors else motor,
+        position=position,
+        motor_position=motor_position if trace.encoders == "all" else None,
         command=command,
         load=sampled(signals.load),
     )
@@ -77,7 +80,7 @@ def rows_of(signals: AnySignals, trace: Trace) -> slice:
     return trace.rows(len(signals.sample_times()), rate_of(signals))
 
 
-def held_at(signal: Float[Array, "*lanes n"], later: Scalar) -> Float[Array, "*lanes n"]:
+def held_at(signal: Signal, later: Scalar) -> Signal:
     """A signal that is held from sample to sample, `later` so many samples; linear in between, held at its ends.
 
     Linear in between is the mean of the held signal over one sample.

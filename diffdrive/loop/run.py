@@ -90,8 +90,12 @@ class Run(Result, Signals[np.ndarray]):
         Raises `ParameterError` where the trace's rate does not divide that of the samples that were kept.
         """
         rows = record(self, self.trace, None if self.seed is None else jax.random.key(self.seed))
-        columns = {column: values for column, values in rows._asdict().items() if values is not None}
-        return Log(name, **{column: np.asarray(values, dtype=np.float64) for column, values in columns.items()})
+        motor = None if rows.motor_position is None else np.asarray(rows.motor_position, dtype=np.float64)
+        channels = (rows.time, rows.position, rows.command, rows.reference, rows.load)
+        time, position, command, reference, load = (np.asarray(signal, dtype=np.float64) for signal in channels)
+        return Log(
+            name, time=time, position=position, command=command, reference=reference, load=load, motor_position=motor
+        )
 
     def rows(self) -> slice:
         """The samples at which the trace writes its rows."""

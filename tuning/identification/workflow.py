@@ -228,7 +228,7 @@ def _result(
     notes += [*against, *found.notes, *(one.message for one in determined_sums(found)), found.adequacy.says]
     unstated = unstated_noise(seen.drive, found.noise)
     notes += [unstated] if unstated else []
-    if axis.unseen_controller:
+    if not axis.logs_show_delay:
         notes.append(f"{axis.unseen_controller}: the delay found is that of the trace, and [actuator] stays as it was")
     return IdentificationResult(
         replace(axis.with_logged_drive(found.drive), name="identified"), tuple(found.estimates), found, used, held_out,

@@ -88,7 +88,9 @@ def machine_run(plan: SweepPlan, machine: SweepMachine, controller: str, motion:
         as_arrays(machine.drive), as_arrays(control), inputs, plan.axis.sampling, machine.key, every
     )
     limit = force_limit(machine.drive)
-    run = replace(Run.from_frames(planned, loads, frames, every), trace=plan.axis.trace, seed=machine.number)
+    run = Run.from_frames(planned, loads, frames, every)
+    if every == 1:  # of fewer samples no trace is written
+        run = replace(run, trace=plan.axis.trace, seed=machine.number)
     return with_status(run, plan.axis.limits, None if limit is None else float(limit))
 
 

@@ -278,3 +278,13 @@ def test_effects_that_count_periods_keep_their_seconds():
     forced = dataclasses.replace(axis, trace=Trace(command="force"))
     assert forced.as_logged().drive.effects == ()
     assert forced.with_logged_drive(forced.as_logged().drive).drive.effects == axis.drive.effects
+
+
+def test_a_delay_that_the_rows_show_is_taken_over_and_no_other():
+    axis = cascade_axis()
+    motor = axis.with_controller(dataclasses.replace(axis.controller, velocity_feedback="motor"))
+    late = dataclasses.replace(motor.drive, actuator=dataclasses.replace(motor.drive.actuator, delay_samples=3))
+    assert motor.as_logged() is not motor
+    assert motor.with_logged_drive(late).drive.actuator.delay_samples == 3
+    for trace in (Trace(rate=1000.0), Trace(command="force"), Trace(command_offset=1e-4)):
+        assert dataclasses.replace(axis, trace=trace).with_logged_drive(late).drive.actuator == axis.drive.actuator
