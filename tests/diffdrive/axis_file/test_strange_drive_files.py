@@ -35,6 +35,8 @@ PAPER = {
     },
     "actuator": {"force_limit": 2000.0, "limit_rounding": 10.0, "delay_fraction": 0.5},
     "sensor": {"resolution": 1e-7, "noise": 1e-8},
+    "motor_encoder": {"resolution": 1e-8, "noise": 1e-9},
+    "trace": {"rate": 1000.0, "sample": "mean", "command_noise": 1.0, "command_offset": -1e-4},
     "sampling": {"rate": 10_000.0},
     "limits": {"stroke": [-0.1, 0.1], "speed": 0.5, "acceleration": 5.0},
 }
@@ -54,6 +56,7 @@ STATIC = {
     ("actuator", "delay_samples"),
     ("controller", "velocity_samples"),
     ("sampling", "substeps"),
+    ("trace", "rate"),
     ("sampling", "rate"),
 }
 
