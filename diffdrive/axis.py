@@ -15,7 +15,7 @@ from diffdrive.effects.catalogue import in_order
 from diffdrive.errors import ParameterError
 from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.loop.smooth import smooth
-from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.model.parameters import Actuator, Drive, Sampling
 from diffdrive.model.quantity import Directional, is_number, node_at, parameter_value, quantities, with_nodes
 from diffdrive.model.trace import Trace
 from diffdrive.motion.motion import Limits
@@ -144,6 +144,7 @@ class Axis(eqx.Module):
         delay = actuator.delay_samples + float(actuator.delay_fraction or 0.0)
         if trace.command == "force":
             effects, delay = tuple(one for one in effects if not isinstance(one, ActuatorEffect)), 0.0
+            actuator = Actuator(actuator.force_limit, actuator.limit_rounding)  # all else is before the column
         rows = max(0.0, share * delay + float(trace.command_offset or 0.0) * self.log_rate)
         own = replace(actuator, delay_samples=int(rows), delay_fraction=rows % 1.0 or None)
         seen = replace(drive, actuator=own, effects=tuple(one.at_rate(share) for one in effects))

@@ -52,7 +52,7 @@ def test_a_log_at_another_rate_than_the_traces_is_refused(run):
 @pytest.mark.long
 def test_an_axis_is_identified_from_its_slower_trace(run):
     believed = SLOW.replace({"plant.mass": 120.0})
-    fixed = ("load_coefficient", "breakaway", "stribeck_velocity", "bristle_stiffness", "bristle_damping")
+    fixed = ("load_coefficient", "breakaway_gap", "stribeck_velocity", "bristle_stiffness", "bristle_damping")
     checked = check_logs(believed, [run.log("slow")])
     found = identify_checked(
         believed, checked, CheckedLogs((), ()), fixed=fixed, bounds={}, starts=1, seed=0,

@@ -12,7 +12,7 @@ from diffdrive.axis_file.drive_file import axis_tables, parse_axis
 from diffdrive.controllers import Cascade
 from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.loop.run import Run
-from diffdrive.model.parameters import Sampling, Sensor
+from diffdrive.model.parameters import Actuator, Sampling, Sensor
 from diffdrive.model.trace import Trace, check_trace
 
 RATE, N = 4000.0, 43
@@ -275,7 +275,10 @@ def test_effects_that_count_periods_keep_their_seconds():
     assert [effect.name for effect in seen.drive.effects] == [effect.name for effect in axis.drive.effects]
     assert float(seen.value("effects.loop_delay.delay")) == 0.5
     assert axis.with_logged_drive(seen.drive).drive.effects == axis.drive.effects
-    forced = dataclasses.replace(axis, trace=Trace(command="force"))
+    late = dataclasses.replace(axis.drive, actuator=Actuator(force_limit=800.0, delay_samples=2, delay_fraction=0.5))
+    forced = dataclasses.replace(axis.with_drive(late), trace=Trace(command="force"))
+    assert forced.as_logged().drive.actuator == Actuator(force_limit=800.0)
+    assert forced.with_logged_drive(forced.as_logged().drive).drive.actuator == late.actuator
     assert forced.as_logged().drive.effects == ()
     assert forced.with_logged_drive(forced.as_logged().drive).drive.effects == axis.drive.effects
 
