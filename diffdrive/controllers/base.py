@@ -153,6 +153,13 @@ class Controller(eqx.Module):
         """
         return state
 
+    def following_error(self, velocity: Scalar, period: float) -> Scalar | None:
+        """Reference minus measured position (m) in a steady motion (m/s), where its law alone decides it.
+
+        By default None: it hangs on forces, or is not known.
+        """
+        return None
+
     def is_dynamic(self, state: PyTree) -> PyTree:
         """Which states take part in a small motion about a steady one: true or false, of `state` or each of its parts.
 

@@ -113,6 +113,11 @@ class Cascade(Controller):
         zero = jnp.zeros_like(position)
         return CascadeState(filled(position, self.velocity_samples), zero, zero)
 
+    def following_error(self, velocity: Scalar, period: float) -> Scalar | None:
+        # with an integral, or without any force, the velocity loop is at its set-point: kp e + ff v = v
+        moves = self.kp > 0
+        return jnp.where(moves, (1.0 - self.velocity_feedforward) * velocity / jnp.where(moves, self.kp, 1.0), 0.0)
+
     def is_dynamic(self, state: CascadeState) -> PyTree:
         return jax.tree.map(lambda _: True, state)._replace(started=False)
 

@@ -70,7 +70,7 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, point: O
     settled = _settled_state(drive, controller, sampling, point)
     vector, rebuild = _state_vector(settled, controller)
     _require_memory(vector.size, 1)
-    reference = Reference(settled.plant.position, point.velocity, 0.0)
+    reference = _steady_reference(controller, sampling, settled.plant.position, point.velocity)
     motor_zero = _motor_ahead(drive, settled)
 
     def step(vector: Array, force: Scalar) -> tuple[Array, Scalar]:
@@ -129,7 +129,7 @@ def _settled_state(drive: Drive, controller: Controller, sampling: Sampling, poi
     controller_state = controller.moving(initial.controller, *(number + 0.0 * force for number in known))
 
     def body(controller_state: PyTree, position: Scalar) -> tuple[PyTree, None]:
-        reference = Reference(position, velocity, 0.0)
+        reference = _steady_reference(controller, sampling, position, velocity)
         return controller.step(controller_state, reference, position, force, sampling.period)[0], None
 
     count = max(2, round(SETTLING_TIME * sampling.rate))
@@ -139,6 +139,12 @@ def _settled_state(drive: Drive, controller: Controller, sampling: Sampling, poi
     actuator_state = actuator.steady_state(drive.actuator, force)
     effect_states = _settled_effects(drive, sampling, point, table, force, count)
     return LoopState(table, actuator_state, controller_state, initial.count, effect_states)
+
+
+def _steady_reference(controller: Controller, sampling: Sampling, position: Scalar, velocity: Scalar) -> Reference:
+    """The reference that the table follows at a steady velocity; by any other an integral would run into its limit."""
+    error = controller.following_error(velocity, sampling.period)
+    return Reference(position if error is None else position + error, velocity, 0.0)
 
 
 def _settled_effects(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import diffdrive as dd
+from diffdrive.controllers import Cascade
 from diffdrive.errors import ParameterError
 from diffdrive.loop.linearise import OpenLoop, OperatingPoint, open_loop, response
 from diffdrive.loop.margins import margins
@@ -85,6 +86,17 @@ def test_a_machine_of_its_own_is_in_the_loop():
     ours = dd.linearise(AXIS, velocity=0.010, machine=heavy).response(frequencies)
     own = dd.linearise(AXIS, velocity=0.010).response(frequencies)
     assert np.all(np.abs(ours) < 0.7 * np.abs(own))
+
+
+def test_a_force_limit_far_away_leaves_the_loop_of_a_cascade_as_it_is():
+    """Without speed feed-forward its steady motion has a following error; without that its integral would saturate."""
+    cascade = AXIS.with_controller(Cascade(kp=50.0, kv=2e4, ki=1e6))
+    frequencies = np.geomspace(1.0, 4_000.0, 20)
+    free, limited = (
+        dd.linearise(axis, velocity=0.020).response(frequencies)
+        for axis in (cascade, cascade.replace({"actuator.force_limit": 2_000.0}))
+    )
+    np.testing.assert_allclose(limited, free, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
