@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import PyTree
 
 from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect, TableForce
-from diffdrive.effects.oscillator import Oscillator, discretise
 from diffdrive.model.friction import friction_under_load, midpoint_friction
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import quantity
 from diffdrive.numerics.arrays import Scalar
+from diffdrive.numerics.oscillator import Oscillator, discretise
 from diffdrive.numerics.trigonometry import MAX_TURNS, cosine_sine, double_angle, triple_angle
 
 EDGE_TIME = 5e-3  # s, rise and fall time of a process force

@@ -28,12 +28,12 @@ from jaxtyping import Array, Float, PyTree
 
 from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect
 from diffdrive.effects.forces import too_many_turns
-from diffdrive.effects.oscillator import DiscreteOscillator, Oscillator, discretise
 from diffdrive.model.friction import coulomb, friction_under_load, midpoint_friction
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import quantity
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.once import once
+from diffdrive.numerics.oscillator import DiscreteOscillator, Oscillator, discretise
 
 LONGEST_SUBSTEP = 50e-6  # s
 

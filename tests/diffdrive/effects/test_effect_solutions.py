@@ -14,7 +14,6 @@ from diffdrive.effects.actuator import ActuatorLag, ForceGain, ForceLimit, LoopD
 from diffdrive.effects.base import Seen
 from diffdrive.effects.forces import FrameVibration, window
 from diffdrive.effects.friction import FrictionDwell, PositionFriction, PreslidingHysteresis
-from diffdrive.effects.oscillator import Oscillator, discretise
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import ParameterError
 from diffdrive.loop.linearise import OperatingPoint, open_loop, response
@@ -24,6 +23,7 @@ from diffdrive.model.parameters import check_drive
 from diffdrive.model.plant import advance, at_rest
 from diffdrive.motion.builders import triangular
 from diffdrive.numerics.arrays import as_arrays
+from diffdrive.numerics.oscillator import Oscillator, discretise
 from tests.support.driven_effects import CONTROLLER, DRIVE, RATE, SAMPLING, with_effects
 
 

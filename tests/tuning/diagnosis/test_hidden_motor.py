@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from diffdrive.effects.base import Seen
-from diffdrive.effects.oscillator import Oscillator
 from diffdrive.effects.transmission import Backlash, Compliance, MotorState
 from diffdrive.model.friction import coulomb
+from diffdrive.numerics.oscillator import Oscillator
 from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of
 from tests.support.sound_log import DRIVE
 from tuning.diagnosis import hidden
