@@ -79,7 +79,7 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, point: O
         controller_state, command = controller.step_from_encoders(
             state.controller, reference, encoders, state.actuator.applied, sampling.period
         )
-        requested = actuator.step(drive.actuator, state.actuator, command.force)
+        requested = actuator.step(drive.actuator, state.actuator, command.force, sampling.period)
         effect_states, applied = stages.actuator_output(
             drive.effects, state.effects, requested.applied, sampling.period
         )

@@ -98,7 +98,7 @@ def step(
         state.controller, inputs.reference, encoders, state.actuator.applied, sampling.period
     )
     controller_state, command = once((controller_state, command))
-    drive_state = actuator.step(drive.actuator, state.actuator, command.force)
+    drive_state = actuator.step(drive.actuator, state.actuator, command.force, sampling.period)
     effect_states, applied = stages.actuator_output(drive.effects, state.effects, drive_state.applied, sampling.period)
     before = state._replace(effects=effect_states)
     moved, effect_states, machine = step_machine(drive, sampling, before, applied, inputs.disturbance, inputs.load)

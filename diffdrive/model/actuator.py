@@ -1,7 +1,8 @@
-"""Command to force: limit, then delay.
+"""Command to force: limit, then delay, then the current loop.
 
 A delay of a fraction f of the period lets the last force act for the first f of it: the mean force over the period,
-f F[k-1] + (1 - f) F[k], is what acts here throughout, so that the momentum is exact and the result smooth in f.
+f F[k-1] + (1 - f) F[k], is what acts here throughout, so that the momentum is exact and the result smooth in f. A
+current loop that is stated answers both parts of the period, and what acts is the mean of its force.
 """
 
 from typing import NamedTuple
@@ -9,17 +10,22 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from diffdrive.model import current_loop
 from diffdrive.model.parameters import Actuator
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.pipeline import Pipeline, filled, pushed
 
 
 class ActuatorState(NamedTuple):
-    """Forces in the delay line, next first, the last one that left it, and the one that acted over the last period."""
+    """Forces in the delay line, next first, the last one that left it, and the one that acted over the last period.
+
+    Where a current loop is stated, its state at the end of that period.
+    """
 
     pending: Pipeline
     arrived: Scalar
     applied: Scalar
+    current: current_loop.CurrentLoopState | None = None
 
 
 def init(actuator: Actuator) -> ActuatorState:
@@ -30,7 +36,8 @@ def init(actuator: Actuator) -> ActuatorState:
 
 def steady_state(actuator: Actuator, force: Scalar) -> ActuatorState:
     """The state after a long time at a constant `force` (N)."""
-    return ActuatorState(filled(force, actuator.delay_samples), force, force)
+    current = current_loop.settled(actuator, force)
+    return ActuatorState(filled(force, actuator.delay_samples), force, force, current)
 
 
 def saturate(actuator: Actuator, command: Scalar) -> Scalar:
@@ -44,9 +51,18 @@ def saturate(actuator: Actuator, command: Scalar) -> Scalar:
     return width * rise - limit
 
 
-def step(actuator: Actuator, state: ActuatorState, command: Scalar) -> ActuatorState:
-    """The force for the coming period is `applied` of the state returned."""
+def step(actuator: Actuator, state: ActuatorState, command: Scalar, period: float) -> ActuatorState:
+    """The force for the coming `period` (s) is `applied` of the state returned."""
     now, pending = pushed(state.pending, saturate(actuator, command))
     fraction = actuator.delay_fraction
-    applied = now if fraction is None else fraction * state.arrived + (1.0 - fraction) * now
-    return ActuatorState(pending, now, applied)
+    if state.current is None:
+        applied = now if fraction is None else fraction * state.arrived + (1.0 - fraction) * now
+        return ActuatorState(pending, now, applied)
+    current, impulse = state.current, 0.0 * now
+    requests = (
+        [(now, period)] if fraction is None else [(state.arrived, fraction * period), (now, (1.0 - fraction) * period)]
+    )
+    for request, time in requests:
+        current, passed = current_loop.advance(actuator, current, request, time)
+        impulse = impulse + passed
+    return ActuatorState(pending, now, impulse / period, current)

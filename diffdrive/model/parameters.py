@@ -18,6 +18,8 @@ LONGEST_SUBSTEP, SUBSTEP_ERROR = 20e-6, 1e-10  # s, and the position error of th
 # s: the integrator is of second order, and here its error is the rounding of a position of a metre
 FINEST_SUBSTEP = LONGEST_SUBSTEP * float(np.sqrt(np.finfo(float).eps / SUBSTEP_ERROR))
 LIMIT_ROUNDING = 0.01  # of the force limit, in the smooth variant
+# Hz: the control rates that there are, and a decade below the slowest; beyond, its momentum is lost in rounding
+SLOWEST_CURRENT_LOOP, FASTEST_CURRENT_LOOP = 1.0, 1e6
 ROUNDING = 1e-6  # largest rounding error of a smoothed limit, as a share of its width
 
 
@@ -70,7 +72,7 @@ class Friction(eqx.Module):
 
 
 class Actuator(eqx.Module):
-    """Force limit and delay between the command and the force on the table.
+    """Force limit, delay and current loop between the command and the force on the table.
 
     The delay is `delay_samples` control periods (static: the length of the pipeline) and `delay_fraction` of one.
     """
@@ -91,6 +93,16 @@ class Actuator(eqx.Module):
         at_least=0.0,
         at_most=1.0,
         default=None,
+    )
+    current_loop_frequency: Scalar | None = quantity(
+        "Hz",
+        "closed current loop: corner of the first order, natural frequency of the second; absent: none beside the delay",
+        at_least=SLOWEST_CURRENT_LOOP,
+        at_most=FASTEST_CURRENT_LOOP,
+        default=None,
+    )
+    current_loop_damping: Scalar | None = quantity(
+        "1", "damping of a current loop of second order; absent: of first order", above=0.0, below=1.0, default=None
     )
 
     @property
@@ -202,6 +214,8 @@ def check_drive(drive: Drive) -> None:
         raise ParameterError(
             f"actuator.delay_samples must be a whole number of samples, 0 or more, got {short_repr(delay)}"
         )
+    if drive.actuator.current_loop_damping is not None and drive.actuator.current_loop_frequency is None:
+        raise ParameterError("actuator.current_loop_damping: give current_loop_frequency, too, or neither")
     limit, width = drive.actuator.force_limit, drive.actuator.limit_rounding
     # the rounded limit is a difference of numbers as large as the limit
     if (

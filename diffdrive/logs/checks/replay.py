@@ -37,7 +37,8 @@ def _controller_commands(
             state, command = controller.step(state, reference, position, actuator_state.applied, cast(float, period))
             # without the log's command, the controller's own: a wrong unit does not reach its observer
             force = command.force if logged_force is None else logged_force
-            return (state, actuator.step(drive.actuator, actuator_state, force)), command.force
+            actuator_state = actuator.step(drive.actuator, actuator_state, force, cast(float, period))
+            return (state, actuator_state), command.force
 
         initial = (_initial_state(controller, position[0], speed), actuator.init(drive.actuator))
         return cast(Array, lax.scan(body, initial, (reference, position, logged_command))[1])

@@ -79,7 +79,7 @@ class Simulated:
         inside, command = self.controller.step(
             state.controller, inputs.reference, measured, state.actuator.applied, PERIOD
         )
-        under_way = actuator.step(self.drive.actuator, state.actuator, command.force)
+        under_way = actuator.step(self.drive.actuator, state.actuator, command.force, PERIOD)
         force = force_of(under_way.applied)
         table = plant.advance(self.drive, state.plant, force, inputs.load, PERIOD, Sampling().plant_steps)
         return LoopState(table, under_way, inside, state.count), under_way.applied

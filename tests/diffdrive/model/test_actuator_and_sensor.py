@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 from diffdrive import motion as motions
 from diffdrive.controllers import PD
 from diffdrive.controllers.base import paper_tracking
+from diffdrive.errors import ParameterError
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model import actuator, sensor
-from diffdrive.model.parameters import Actuator, Sensor
+from diffdrive.model.parameters import Actuator, Sensor, check_drive
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 
 IDEAL = paper_drive(quantised=False)
@@ -36,7 +38,7 @@ def acting(parts: Actuator, commands: np.ndarray) -> np.ndarray:
     """The forces that act for these commands."""
 
     def body(state, command):
-        state = actuator.step(parts, state, command)
+        state = actuator.step(parts, state, command, 1e-4)
         return state, state.applied
 
     return np.asarray(jax.lax.scan(body, actuator.init(parts), jnp.asarray(commands))[1])
@@ -58,6 +60,81 @@ def test_a_delay_of_a_fraction_passes_the_momentum_of_the_force_that_switches_wi
     switched = fine[10 - round(10 * fraction) :][: 10 * 50].reshape(50, 10).mean(axis=1)
     forces = acting(Actuator(delay_samples=delay, delay_fraction=fraction), commands)
     np.testing.assert_allclose(forces, switched, rtol=0, atol=1e-14)
+
+
+def integrated(fine: np.ndarray, frequency: float, damping: float | None, parts: int) -> np.ndarray:
+    """Mean force in each period of 0.1 ms under a request that is constant in each part of one; by matrix exponentials.
+
+    Of the system that has the integral of the force as a state of its own.
+    """
+    w = 2 * np.pi * frequency
+    if damping is None:
+        a, b = np.array([[-w, 0.0], [1.0, 0.0]]), np.array([w, 0.0])
+    else:
+        a = np.array([[0.0, 1.0, 0.0], [-(w**2), -2 * damping * w, 0.0], [1.0, 0.0, 0.0]])
+        b = np.array([0.0, w**2, 0.0])
+    n = len(b)
+    ahead = expm(np.block([[a, b[:, None]], [np.zeros((1, n + 1))]]) * 1e-4 / parts)
+    x, impulse = np.zeros(n), [0.0]
+    for request in fine:
+        x = ahead[:n, :n] @ x + ahead[:n, n] * request
+        impulse.append(x[-1])
+    return np.diff(impulse[::parts]) / 1e-4
+
+
+@pytest.mark.parametrize("damping", [None, 0.3, 0.7, 0.999])
+@pytest.mark.parametrize("frequency", [20.0, 800.0, 4e4])
+@pytest.mark.parametrize(("delay", "fraction"), [(0, None), (2, 0.3)])
+def test_a_current_loop_passes_the_momentum_of_its_differential_equation(frequency, damping, delay, fraction):
+    commands = np.random.default_rng(1).normal(size=40)
+    late = round(10 * (fraction or 0.0))
+    requests = np.r_[np.zeros(10 * delay + late), np.repeat(commands, 10)][:400]  # ten parts of a period
+    parts = Actuator(
+        delay_samples=delay, delay_fraction=fraction, current_loop_frequency=frequency, current_loop_damping=damping
+    )
+    expected = integrated(requests, frequency, damping, 10)
+    np.testing.assert_allclose(acting(parts, commands), expected, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("damping", [None, 0.6])
+def test_the_derivatives_of_a_current_loop_are_those_of_differences(damping):
+    commands = np.random.default_rng(2).normal(size=30)
+
+    def last(frequency, fraction, damping):
+        return acting(Actuator(delay_fraction=fraction, current_loop_frequency=frequency,
+                               current_loop_damping=damping), commands)[-1]  # fmt: skip
+
+    def traced(frequency, fraction, damping):
+        parts = Actuator(delay_fraction=fraction, current_loop_frequency=frequency, current_loop_damping=damping)
+
+        def body(state, command):
+            state = actuator.step(parts, state, command, 1e-4)
+            return state, state.applied
+
+        return jax.lax.scan(body, actuator.init(parts), jnp.asarray(commands))[1][-1]
+
+    at = (500.0, 0.4) if damping is None else (500.0, 0.4, damping)
+    slopes = jax.grad(lambda *values: traced(*(*values, None)[:3]), argnums=tuple(range(len(at))))(*at)
+    for k, (value, slope) in enumerate(zip(at, slopes, strict=True)):
+        step = 1e-5 * value
+        ends = [last(*(*(v + sign * step * (j == k) for j, v in enumerate(at)), None)[:3]) for sign in (1, -1)]
+        assert float(slope) == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-5)
+
+
+def test_a_current_loop_at_rest_under_a_force_stays_there():
+    for parts in (
+        Actuator(current_loop_frequency=300.0),
+        Actuator(current_loop_frequency=300.0, current_loop_damping=0.5),
+    ):
+        held = actuator.steady_state(parts, jnp.asarray(70.0))
+        ahead = actuator.step(parts, held, jnp.asarray(70.0), 1e-4)
+        np.testing.assert_allclose(jax.tree.leaves(ahead), jax.tree.leaves(held), rtol=1e-12, atol=1e-9)
+
+
+def test_a_damping_without_a_current_loop_is_refused():
+    drive = dataclasses.replace(IDEAL, actuator=Actuator(current_loop_damping=0.7))
+    with pytest.raises(ParameterError, match=r"actuator\.current_loop_damping: give current_loop_frequency, too"):
+        check_drive(drive)
 
 
 @pytest.mark.parametrize("delay", [0, 2])

@@ -45,7 +45,7 @@ def test_a_force_arrives_after_as_many_samples(count):
     asked = jnp.arange(1.0, 1001.0)
 
     def step(state, force):
-        ahead = actuator.step(late, state, force)
+        ahead = actuator.step(late, state, force, 1e-4)
         return ahead, ahead.applied
 
     applied = np.asarray(jax.lax.scan(step, actuator.init(late), asked)[1])

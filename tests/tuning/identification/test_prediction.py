@@ -130,7 +130,7 @@ def test_a_delayed_command_is_the_actuators(whole, fraction):
     machine = Actuator(delay_samples=whole, delay_fraction=fraction)
     state, forces = actuator.init(machine), []
     for one in command:
-        state = actuator.step(machine, state, one)
+        state = actuator.step(machine, state, one, 1e-4)
         forces.append(float(state.applied))
     np.testing.assert_allclose(delayed(jnp.asarray(command), whole + fraction), forces, atol=1e-14)
 
