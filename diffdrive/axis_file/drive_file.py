@@ -69,6 +69,13 @@ class TomlSection:
         self._below.append(subsection)
         return subsection
 
+    def subsections(self, key: str) -> "list[TomlSection]":
+        """The tables of the array of tables below `key`, none if it is absent."""
+        tables = self.take(key, [])
+        if not isinstance(tables, list):
+            raise self.fail(key, f"must be an array of tables, [[{self.name}.{key}]], got {short_repr(tables)}")
+        return [TomlSection(self.source, f"{self.name}.{key}.{k}", table) for k, table in enumerate(tables, 1)]
+
     def set_kind(self, kind: str, kinds_with: Callable[[str, str], list[str]]) -> None:
         """Set the controller's kind, and the function from table and key to the kinds that accept it."""
         self.kind, self._kinds_of_table = kind, kinds_with

@@ -30,7 +30,8 @@ def _controller_keys() -> Iterator[tuple[str, str, Keys]]:
     """Table, kinds and keys of every class of parameters that a controller has."""
     all_keys = list(dict.fromkeys(keys for kind in KINDS.values() for keys in kind.keys))
     for keys in sorted(all_keys, key=lambda keys: keys.table):
-        yield keys.table, _kinds_label([name for name, kind in KINDS.items() if keys in kind.keys]), keys
+        label = keys.kind or _kinds_label([name for name, kind in KINDS.items() if keys in kind.keys])
+        yield keys.table, label, keys
 
 
 def _option_rows() -> Iterator[tuple[str, ...]]:

@@ -4,7 +4,7 @@ A `Kind` builds a controller from the table [controller] of a file; the controll
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import equinox as eqx
@@ -28,6 +28,9 @@ class Section(Protocol):
 
     def subsection(self, key: str) -> "Section":
         """The table below a key, empty if it is absent."""
+
+    def subsections(self, key: str) -> "Sequence[Section]":
+        """The tables of an array of tables below a key, none if it is absent."""
 
     def fail(self, key: str, problem: str) -> Exception:
         """The error for a bad key."""
@@ -58,6 +61,7 @@ class Keys(NamedTuple):
     table: str  # "controller", or one below it
     parameters: type[eqx.Module]
     from_plant: frozenset[str] = frozenset()
+    kind: str = ""  # of a table that has kinds of its own, such as those of filters
 
     def names(self) -> Iterator[str]:
         """The keys."""

@@ -59,10 +59,8 @@ def step(actuator: Actuator, state: ActuatorState, command: Scalar, period: floa
         applied = now if fraction is None else fraction * state.arrived + (1.0 - fraction) * now
         return ActuatorState(pending, now, applied)
     current, impulse = state.current, 0.0 * now
-    requests = (
-        [(now, period)] if fraction is None else [(state.arrived, fraction * period), (now, (1.0 - fraction) * period)]
-    )
-    for request, time in requests:
-        current, passed = current_loop.advance(actuator, current, request, time)
+    requests = [(now, 1.0)] if fraction is None else [(state.arrived, fraction), (now, 1.0 - fraction)]
+    for request, share in requests:
+        current, passed = current_loop.advance(actuator, current, request, share * period)
         impulse = impulse + passed
     return ActuatorState(pending, now, impulse / period, current)

@@ -34,7 +34,7 @@ def settled(actuator: Actuator, force: Scalar) -> CurrentLoopState | None:
 def advance(
     actuator: Actuator, state: CurrentLoopState, request: Scalar, time: Scalar
 ) -> tuple[CurrentLoopState, Scalar]:
-    """The state after so much `time` (s) at a constant `request` (N), and the integral of the force until then (N s)."""
+    """The state after a `time` (s) at a constant `request` (N), and the integral of the force over it (N s)."""
     angular = 2.0 * jnp.pi * actuator.current_loop_frequency
     if actuator.current_loop_damping is None:
         deviation, decay = state.force - request, exp_neg(angular * time)

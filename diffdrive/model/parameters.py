@@ -96,7 +96,7 @@ class Actuator(eqx.Module):
     )
     current_loop_frequency: Scalar | None = quantity(
         "Hz",
-        "closed current loop: corner of the first order, natural frequency of the second; absent: none beside the delay",
+        "current loop, closed: corner of a first order, natural frequency of a second; absent: the delay alone",
         at_least=SLOWEST_CURRENT_LOOP,
         at_most=FASTEST_CURRENT_LOOP,
         default=None,

@@ -168,16 +168,27 @@ def quantities(module: eqx.Module, path: str = "") -> Iterator[tuple[str, Quanti
         elif isinstance(value, eqx.Module):
             yield from quantities(value, name)
         elif isinstance(value, tuple):
-            for item in value:
+            for place, item in enumerate(value, 1):
                 if isinstance(item, eqx.Module):
-                    yield from quantities(item, f"{name}.{getattr(item, 'name', type(item).__name__)}")
+                    yield from quantities(item, f"{name}.{_item_name(item, place)}")
+
+
+def _item_name(item: eqx.Module, place: int) -> str:
+    """What a path calls one of several parts: its name, such as an effect's, or its place, from 1 on."""
+    return str(getattr(item, "name", place))
 
 
 def node_at(module: eqx.Module, path: str) -> PyTree:
-    """What stands at a dotted path, as `quantities` has it: an effect by its name, a side of a pair by its field."""
+    """What stands at a dotted path, as `quantities` has it.
+
+    An effect by its name, a filter by its place (`filters.1`), a side of a pair by its field.
+    """
     node: PyTree = module
     for part in path.split("."):
-        node = next(item for item in node if item.name == part) if isinstance(node, tuple) else getattr(node, part)
+        if isinstance(node, tuple):
+            node = next(item for place, item in enumerate(node, 1) if _item_name(item, place) == part)
+        else:
+            node = getattr(node, part)
     return node
 
 
