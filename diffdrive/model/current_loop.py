@@ -10,6 +10,8 @@ Under a constant request both have a solution in closed form, and so has its int
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
 
 from diffdrive.model.parameters import Actuator
 from diffdrive.numerics.arrays import Scalar
@@ -35,6 +37,7 @@ def advance(
     actuator: Actuator, state: CurrentLoopState, request: Scalar, time: Scalar
 ) -> tuple[CurrentLoopState, Scalar]:
     """The state after a `time` (s) at a constant `request` (N), and the integral of the force over it (N s)."""
+    assert actuator.current_loop_frequency is not None
     angular = 2.0 * jnp.pi * actuator.current_loop_frequency
     if actuator.current_loop_damping is None:
         deviation, decay = state.force - request, exp_neg(angular * time)
@@ -47,3 +50,19 @@ def advance(
     fallen, slowed = state.force - ahead.deflection, state.rate - ahead.rate
     impulse = request * time + (slowed + 2.0 * actuator.current_loop_damping * angular * fallen) / angular**2
     return CurrentLoopState(ahead.deflection, ahead.rate), impulse
+
+
+def mean_forces(actuator: Actuator, requests: Float[Array, " n"], period: Scalar) -> Float[Array, " n"]:
+    """Mean force (N) in each `period` (s) of requests (N) that are held over it; before them was the first one.
+
+    Where no current loop is stated, the requests themselves.
+    """
+    begin = settled(actuator, requests[0])
+    if begin is None:
+        return requests
+
+    def body(state: CurrentLoopState, request: Scalar) -> tuple[CurrentLoopState, Array]:
+        state, impulse = advance(actuator, state, request, period)
+        return state, jnp.asarray(impulse / period)
+
+    return lax.scan(body, begin, requests)[1]

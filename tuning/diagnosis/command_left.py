@@ -7,6 +7,7 @@ go with the commands of the samples before them, little as each is off.
 
 from typing import cast
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -14,6 +15,7 @@ from jaxtyping import Array, Float
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import ActuatorEffect
 from diffdrive.model.actuator import saturate
+from diffdrive.model.current_loop import mean_forces
 from tuning.diagnosis.curvature import solved
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.exposure import Exposure
@@ -91,7 +93,9 @@ def _last_commands(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     logged = fitted.model.logged
     delays = [effect.delay for effect in fitted.model.effects(fitted.u) if isinstance(effect, LoopDelay)]
     late = float(logged.delay) + sum(float(np.max(one)) for one in delays)
-    command = cast(Array, saturate(logged.drive.actuator, logged.lanes.command))  # of an array, it is one
+    actuator, period = logged.drive.actuator, logged.sampling.period
+    limited = cast(Array, saturate(actuator, logged.lanes.command))  # of an array, it is one
+    command = jax.vmap(lambda requests: mean_forces(actuator, requests, period))(limited)
     held_back = [max(0, int(late) - 1) + k for k in range(TAPS)]
     count = command.shape[1]
     return jnp.stack([jnp.pad(command, ((0, 0), (k, 0)), mode="edge")[:, :count] for k in held_back], axis=-1)

@@ -16,6 +16,7 @@ from diffdrive.effects import stages
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
 from diffdrive.effects.base import Effect, Seen
 from diffdrive.model.actuator import saturate
+from diffdrive.model.current_loop import mean_forces
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar
 from tuning.identification.prediction import Lanes
@@ -121,7 +122,8 @@ def _asked(
     count, parts = asked.shape
     late = delay + sum(effect.delay for effect in effects if isinstance(effect, LoopDelay))
     limited = cast(Array, saturate(drive.actuator, asked.reshape(-1)))  # of an array, it is one
-    force = _held_back(limited, jnp.maximum(late, 0.0) * parts)
+    answered = mean_forces(drive.actuator, limited, sampling.period / parts)
+    force = _held_back(answered, jnp.maximum(late, 0.0) * parts)
     return tuple(effect for effect in effects if not isinstance(effect, LoopDelay)), force.reshape(count, parts)
 
 

@@ -88,7 +88,7 @@ def run_filter(
         level = drive.friction.coulomb_at(lane.load[0]).positive
         bristle_std = 0.5 * level / drive.friction.bristle_stiffness.positive  # of its deflection at the start
         spread = diagonal((measured_variance, jnp.asarray(INITIAL_VELOCITY_STD) ** 2, bristle_std**2))
-        force = applied_force(drive, lane, delay)
+        force = applied_force(drive, lane, delay, sampling.period)
         return lax.scan(body, (begin, spread), (lane.position, force, lane.load))[1]
 
     gains, innovation = lax.map(filter_lane, lanes)

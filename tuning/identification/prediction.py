@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.model import plant
 from diffdrive.model.actuator import saturate
+from diffdrive.model.current_loop import mean_forces
 from diffdrive.model.friction import stribeck_level
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar, require_double_precision
@@ -84,9 +85,13 @@ def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
     return shifted
 
 
-def applied_force(drive: Drive, lane: Lanes, delay: Scalar) -> Float[Array, " n"]:
-    """The force (N) on the table of one lane: the command limited and delayed, and the known disturbance."""
-    return delayed(jnp.asarray(saturate(drive.actuator, lane.command)), delay) + lane.disturbance
+def applied_force(drive: Drive, lane: Lanes, delay: Scalar, period: float) -> Float[Array, " n"]:
+    """The force (N) on the table of one lane, and the known disturbance.
+
+    The command is limited, answered by the current loop where one is stated, and delayed.
+    """
+    requested = jnp.asarray(saturate(drive.actuator, lane.command))
+    return delayed(mean_forces(drive.actuator, requested, period), delay) + lane.disturbance
 
 
 def initial_velocity(position: Float[Array, "*s n"], rate: float) -> Float[Array, "*s"]:
@@ -133,7 +138,7 @@ def predict(drive: Drive, delay: Scalar, gains: FilterGains, lanes: Lanes, sampl
         return ahead, Prediction(innovation, jnp.asarray(state.velocity))
 
     def predict_lane(lane: Lanes, gains: FilterGains) -> Prediction:
-        force = applied_force(drive, lane, delay)
+        force = applied_force(drive, lane, delay, sampling.period)
         return lax.scan(body, initial_state(drive, lane), (lane.position, force, lane.load, *gains[:3]))[1]
 
     # one lane after the other: batched derivatives then lie side by side in memory, which is four times faster

@@ -111,6 +111,21 @@ FILES = {
     "stroke in kg": ("limits.stroke", [0.0, "3 kg"], r"\[limits\] stroke: '3 kg' has the wrong unit: it must be in m"),
     "speed 0": ("limits.speed", 0.0, r"\[limits\] speed: must be positive"),
     "NaN acceleration": ("limits.acceleration", NAN, r"\[limits\] acceleration: must be positive"),
+    "a current loop slower than any": (
+        "actuator.current_loop_frequency",
+        1e-300,
+        r"actuator\.current_loop_frequency must be at least 1 Hz",
+    ),
+    "a current loop faster than any": (
+        "actuator.current_loop_frequency",
+        "10 MHz",
+        r"actuator\.current_loop_frequency must be at most 1e\+06 Hz",
+    ),
+    "a damping of no current loop": (
+        "actuator.current_loop_damping",
+        0.7,
+        r"give current_loop_frequency, too, or neither",
+    ),
     "unknown controller": (
         "controller.kind",
         "pid",

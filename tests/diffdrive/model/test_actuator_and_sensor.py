@@ -16,7 +16,7 @@ from diffdrive.controllers.base import paper_tracking
 from diffdrive.errors import ParameterError
 from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate_loop
-from diffdrive.model import actuator, sensor
+from diffdrive.model import actuator, current_loop, sensor
 from diffdrive.model.parameters import Actuator, Sensor, check_drive
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 
@@ -119,6 +119,19 @@ def test_the_derivatives_of_a_current_loop_are_those_of_differences(damping):
         step = 1e-5 * value
         ends = [last(*(*(v + sign * step * (j == k) for j, v in enumerate(at)), None)[:3]) for sign in (1, -1)]
         assert float(slope) == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-5)
+
+
+@pytest.mark.parametrize("damping", [None, 0.5])
+def test_the_mean_forces_of_a_log_are_those_of_the_steps(damping):
+    """From a long time at the first command on, as what was before a log is not known."""
+    commands = np.r_[70.0, np.random.default_rng(3).normal(size=30)]
+    parts = Actuator(current_loop_frequency=300.0, current_loop_damping=damping)
+    state, expected = actuator.steady_state(parts, jnp.asarray(70.0)), []
+    for command in commands:
+        state = actuator.step(parts, state, jnp.asarray(command), 1e-4)
+        expected.append(float(state.applied))
+    np.testing.assert_allclose(current_loop.mean_forces(parts, jnp.asarray(commands), 1e-4), expected, atol=1e-11)
+    np.testing.assert_array_equal(current_loop.mean_forces(Actuator(), jnp.asarray(commands), 1e-4), commands)
 
 
 @pytest.mark.parametrize("damping", [None, 0.5])

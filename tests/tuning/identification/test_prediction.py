@@ -122,6 +122,16 @@ def test_a_known_disturbance_is_foreseen_and_an_unknown_one_is_not():
     assert np.max(np.abs(innovations(DELAYED, unknown, gains))) > 1e-9
 
 
+def test_a_current_loop_that_is_stated_is_foreseen_and_one_that_is_not_is_missing():
+    answering = Actuator(force_limit=105.0, delay_samples=1, current_loop_frequency=400.0, current_loop_damping=0.7)
+    drive = replace(ASYMMETRIC, actuator=answering)
+    lanes = logged(drive, reversal())
+    gains = pulling(100.0, lanes)
+    assert np.max(np.abs(innovations(drive, lanes, gains, delay=1.0))) < 1e-14
+    rigid = replace(ASYMMETRIC, actuator=Actuator(force_limit=105.0, delay_samples=1))
+    assert np.max(np.abs(innovations(rigid, lanes, gains, delay=1.0))) > 1e-9
+
+
 @given(st.integers(0, 3), st.floats(0.0, 1.0))
 @example(0, 0.0)
 @example(2, 1.0)
