@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from diffdrive.axis import Axis
+from diffdrive.controllers.base import require_rate
 from diffdrive.errors import ParameterError
 from diffdrive.loop import linearise as loop
 from diffdrive.loop import margins as loop_margins
@@ -122,6 +123,7 @@ def linearise(axis: Axis, *, velocity: Scalar, load: Scalar = 0.0, machine: Axis
         if not isinstance(value, jax.core.Tracer) and not (np.isfinite(float(value)) and float(value) >= least):
             floor = "" if np.isinf(least) else f", {least:g} or more"
             raise ParameterError(f"{name}: must be a finite number in {unit}{floor}, got {float(value):g}")
+    require_rate(axis.controller, axis.rate)
     drive, controller = checked_machine(axis, machine).smooth().drive, axis.smooth().controller
     point = loop.OperatingPoint(velocity, load)
     return LinearLoop(_open_loop(*as_arrays((drive, controller)), axis.sampling, as_arrays(point)), velocity, load)

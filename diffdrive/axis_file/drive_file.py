@@ -19,6 +19,7 @@ import tomli_w
 
 from diffdrive.axis import Axis
 from diffdrive.axis_file.controller_file import build_controller, controller_table
+from diffdrive.controllers.base import require_rate
 from diffdrive.controllers.kinds import Parameters
 from diffdrive.effects.base import Effect
 from diffdrive.effects.catalogue import EFFECTS
@@ -249,6 +250,10 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
                 f"{encoder.resolution:g} m is coarser than a hundredth of the stroke; is it in micrometres?",
             )
     controller = build_controller(sections["controller"], drive)
+    try:
+        require_rate(controller, sampling.rate)
+    except ParameterError as error:
+        raise DriveFileError(f"{source}: {error}") from None
     trace = _trace(sections["trace"], sampling.rate, drive)
     for section in sections.values():
         section.done()

@@ -16,6 +16,7 @@ from diffdrive.controllers.catalogue import KINDS, register
 from diffdrive.controllers.disturbance_observer import DisturbanceObserver
 from diffdrive.controllers.dobvsc import DOBVSC
 from diffdrive.controllers.feedforward_dob import PDFeedforwardDOB
+from diffdrive.controllers.filters import PT1, PT2, Filter, Notch, SecondOrder
 from diffdrive.controllers.friction_compensation import FrictionCompensation
 from diffdrive.controllers.kinds import Keys, Kind, Option
 from diffdrive.controllers.pd import PD
@@ -26,6 +27,8 @@ __all__ = [
     "DOBVSC",
     "KINDS",
     "PD",
+    "PT1",
+    "PT2",
     "Cascade",
     "Command",
     "CommandPart",
@@ -33,13 +36,16 @@ __all__ = [
     "DisturbanceObserver",
     "Encoders",
     "Feedforward",
+    "Filter",
     "FrictionCompensation",
     "Keys",
     "Kind",
+    "Notch",
     "Option",
     "PDFeedforwardDOB",
     "PDGains",
     "Reference",
+    "SecondOrder",
     "Tracking",
     "Tunable",
     "UnknownController",

@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Mapping
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,6 +15,9 @@ from diffdrive.model.quantity import Directional, quantity, quantity_table
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.observers.friction_observer import ObserverEstimate
 from diffdrive.support.typing import TomlTable
+
+if TYPE_CHECKING:
+    from diffdrive.controllers.filters import Filter
 
 Smoothed = TypeVar("Smoothed", bound="Controller")
 
@@ -127,9 +130,20 @@ class Controller(eqx.Module):
         """Its keys of [controller] in a drive file, without the kind."""
         raise ParameterError(f"no drive file can state a {type(self).__name__}: register a `Kind` of it")
 
+    def with_filter(self, one: "Filter") -> "Controller":
+        """The same controller with one more filter of its force command, behind those that it has.
+
+        Raises `ParameterError` where it has none, as by default.
+        """
+        raise ParameterError(f"a {type(self).__name__} has no filters of its command; a cascade has")
+
     def with_model(self, drive: Drive) -> "Controller":
         """The same controller with this drive as its model of the machine."""
         return self
+
+    def rate_problem(self, rate: float) -> str | None:
+        """Why it cannot run at this control rate (Hz), such as a filter above half of it; None where it can."""
+        return None
 
     @abc.abstractmethod
     def init(self, position: Scalar) -> PyTree:
@@ -186,6 +200,13 @@ class Controller(eqx.Module):
     def pipelines(self) -> tuple[tuple[str, int], ...]:
         """Delay lines: the name of each, and its length in samples."""
         return ()
+
+
+def require_rate(controller: Controller, rate: float) -> None:
+    """Raise `ParameterError` where a controller cannot run at a control rate (Hz)."""
+    problem = controller.rate_problem(rate)
+    if problem is not None:
+        raise ParameterError(f"controller.{problem}")
 
 
 class Feedforward(eqx.Module):

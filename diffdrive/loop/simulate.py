@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from diffdrive.controllers import Controller
+from diffdrive.controllers.base import require_rate
 from diffdrive.effects import feasibility, stages
 from diffdrive.effects.base import Effect
 from diffdrive.errors import MotionError, ParameterError
@@ -62,6 +63,7 @@ def simulate_loop(
     require_double_precision()
     check_drive(drive)
     check(controller)
+    require_rate(controller, sampling.rate)
     require_within(motion, limits)
     require_same_rate(f"motion '{motion.name}'", motion.rate, "the axis", sampling.rate)
     stride = _whole_number(every)

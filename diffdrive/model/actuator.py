@@ -41,14 +41,18 @@ def steady_state(actuator: Actuator, force: Scalar) -> ActuatorState:
 
 
 def saturate(actuator: Actuator, command: Scalar) -> Scalar:
-    """The command (N) within the force limit, whose corners `limit_rounding` rounds by softplus."""
-    limit, width = actuator.force_limit, actuator.limit_rounding
-    if limit is None:
+    """The command (N) within the force limit, whose corners `limit_rounding` rounds."""
+    if actuator.force_limit is None:
         return command
-    if width is None:
-        return jnp.clip(command, -limit, limit)
-    rise = jax.nn.softplus((command + limit) / width) - jax.nn.softplus((command - limit) / width)
-    return width * rise - limit
+    return limited(command, actuator.force_limit, actuator.limit_rounding)
+
+
+def limited(force: Scalar, limit: Scalar, rounding: Scalar | None) -> Scalar:
+    """The force (N) within the limit, whose corners are rounded over a width by softplus; None: sharp."""
+    if rounding is None:
+        return jnp.clip(force, -limit, limit)
+    rise = jax.nn.softplus((force + limit) / rounding) - jax.nn.softplus((force - limit) / rounding)
+    return rounding * rise - limit
 
 
 def step(actuator: Actuator, state: ActuatorState, command: Scalar, period: float) -> ActuatorState:

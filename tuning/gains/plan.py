@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
+from diffdrive.controllers.base import require_rate
 from diffdrive.errors import MotionError, ParameterError
 from diffdrive.loop import metrics
 from diffdrive.loop.run import Run
@@ -191,6 +192,7 @@ def _machine_name(number: int) -> str:
 
 
 def _require_possible(description: Axis, scenarios: list[Scenario]) -> None:
+    require_rate(description.controller, description.rate)
     for scenario in scenarios:
         require_within(scenario.motion, description.limits)
         require_shorter(
