@@ -1,4 +1,5 @@
 from .diagnosis.workflow import Cause, DiagnosisResult, diagnose
+from .gains.notch import propose_notch
 from .gains.objective import Objective, register_aggregation
 from .gains.pareto import ParetoFront, ParetoPoint, pareto_front
 from .gains.requirements import AsGiven, Requirements
@@ -22,6 +23,7 @@ __all__ = [
     "diagnose",
     "identify",
     "pareto_front",
+    "propose_notch",
     "register_aggregation",
     "sweep",
     "tune",

@@ -1,0 +1,91 @@
+"""A notch on the resonance that the linearised loop shows, as a start from which `tune` moves it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from diffdrive.axis import Axis
+from diffdrive.controllers import Notch
+from diffdrive.errors import ParameterError
+from diffdrive.linearisation import linearise
+from diffdrive.loop.margins import LOWEST_FREQUENCY
+from diffdrive.numerics.arrays import Scalar
+
+# The peak of a damping E is 2 E wide, in the logarithm of frequency: of 0.5 % damping there are four points in it.
+POINTS_PER_DECADE = 1_000
+HALF_POWER = float(np.sqrt(0.5))  # -3 dB, at the edges of a peak
+# Damping of the notch's denominator. Far below its frequency f the notch lags by 2 D times the share of f: at a
+# crossover of a third of f by 12 degrees, which leaves a loop of the usual 45 degrees its 30.
+NOTCH_DAMPING = 0.3
+
+
+class Resonance(NamedTuple):
+    """A peak of the loop's gain above its crossover."""
+
+    frequency: float  # Hz
+    damping: float  # ratio, from its width at -3 dB
+    gain: float  # |L| there
+
+
+def find_resonance(frequency: Float[np.ndarray, " f"], loop: Complex[np.ndarray, " f"]) -> Resonance | None:
+    """The highest peak of |L| above the frequency (Hz) from which |L| is below one for the first time; None without.
+
+    It counts as a peak where it falls by 3 dB on both sides, so that it has a width.
+    """
+    gain, log = np.abs(loop), np.log(frequency)
+    below = np.flatnonzero(gain < 1.0)
+    first = int(below[0]) if below.size else 0
+    inner = gain[1:-1]
+    peaks = 1 + np.flatnonzero((inner > gain[:-2]) & (inner >= gain[2:]))
+    found = []
+    for peak in peaks[peaks > first]:
+        edge = HALF_POWER * gain[peak]
+        under = gain < edge
+        left, right = np.flatnonzero(under[first:peak]), np.flatnonzero(under[peak:])
+        if not (left.size and right.size):
+            continue
+        low, high = first + left[-1], peak + right[0]
+        edges = [
+            np.interp(np.log(edge), np.log(gain[pair]), log[pair])
+            for pair in (np.array([low, low + 1]), np.array([high, high - 1]))
+        ]
+        width = np.exp(edges[1]) - np.exp(edges[0])
+        found.append(Resonance(float(frequency[peak]), float(width / (2.0 * frequency[peak])), float(gain[peak])))
+    return max(found, key=lambda one: one.gain, default=None)
+
+
+def propose_notch(axis: Axis, *, velocity: Scalar = 0.010, load: Scalar = 0.0, machine: Axis | None = None) -> Axis:
+    """The axis with a notch on its resonance: the highest peak of the loop's gain above the crossover.
+
+    The notch is as deep as the resonance is high: its numerator has the damping of the peak, from its width at -3 dB,
+    its denominator one of 0.3. It is a start: `tune` moves its frequency, width and depth together with the gains.
+    The loop need not be stable. Asked again, it finds the next resonance.
+
+    Args:
+        axis: With a controller that has filters, such as a cascade, and a resonance, such as the effect `compliance`.
+        velocity: At which the loop is linearised (m/s).
+        load: Force on the guides (N).
+        machine: An axis whose drive replaces the axis's own, as in `simulate`.
+
+    Raises:
+        ParameterError: The controller has no filters, or the loop no such peak.
+
+    Examples:
+        >>> best = tune(propose_notch(axis), requirements=Requirements(command_noise=None))
+        >>> best.gains["filter1_frequency"]
+
+    """
+    highest = 0.499 * axis.rate
+    count = int(POINTS_PER_DECADE * np.log10(highest / LOWEST_FREQUENCY))
+    frequency = np.geomspace(LOWEST_FREQUENCY, highest, count)
+    loop = linearise(axis, velocity=velocity, load=load, machine=machine)
+    found = find_resonance(frequency, np.asarray(loop.response(frequency)))
+    if found is None or found.damping >= NOTCH_DAMPING:
+        raise ParameterError(
+            f"no resonance: above the crossover the loop's gain has no peak with a damping below {NOTCH_DAMPING:g}; "
+            "state that of the machine, as in [effects.compliance]"
+        )
+    depth = 20.0 * float(np.log10(NOTCH_DAMPING / found.damping))
+    notch = Notch(frequency=found.frequency, width=2.0 * NOTCH_DAMPING * found.frequency, depth=depth)
+    return axis.with_controller(axis.controller.with_filter(notch))
