@@ -6,7 +6,7 @@ import numpy as np
 from diffdrive.effects import stages
 from diffdrive.effects.base import Envelope, MachineEffect
 from diffdrive.errors import ParameterError
-from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.model.parameters import Drive, Sampling, friction_problem
 from diffdrive.motion.motion import Limits
 from diffdrive.numerics.arrays import Scalar
 
@@ -51,15 +51,13 @@ def require_feasible(drive: Drive, envelope: Envelope) -> None:
 def _infeasibility(drive: Drive, load: float) -> str | None:
     """Why no machine has these parameters under `load` (N) on the guides; None where one may."""
     plant, friction = drive.plant, drive.friction
-    levels, breakaways, drags = friction.coulomb_at(load), friction.breakaway_at(load), friction.viscous + plant.damping
+    drags = friction.viscous + plant.damping
     if not np.all(np.asarray(plant.mass) > 0.0):
         return f"the moving mass is {_lowest(plant.mass):g} kg: it must stay above 0"
+    if problem := friction_problem(friction, load):
+        return problem
     for side in ("positive", "negative"):
-        level, breakaway, drag = (getattr(pair, side) for pair in (levels, breakaways, drags))
-        if not np.all(np.asarray(level) > 0.0):
-            return f"the Coulomb friction in the {side} direction is {_lowest(level):g} N: it must stay above 0"
-        if not np.all(np.asarray(breakaway) > 0.0):
-            return f"the breakaway friction in the {side} direction is {_lowest(breakaway):g} N: it must stay above 0"
+        drag = getattr(drags, side)
         if not np.all(np.asarray(drag) >= 0.0):
             return (
                 f"viscous friction and damping in the {side} direction are {_lowest(drag):g} N s/m: they must not "

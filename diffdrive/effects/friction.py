@@ -1,5 +1,6 @@
 """Effects on the friction: along the stroke, over time, by time at rest, and in presliding."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -11,7 +12,7 @@ from jaxtyping import PyTree
 from diffdrive.effects.base import Acts, Envelope, Seen, StaticTableEffect, StepOrder, TableEffect
 from diffdrive.effects.forces import end_velocity, too_many_turns, window
 from diffdrive.model.friction import coulomb, deflection_after, friction_under_load, relaxation_map
-from diffdrive.model.parameters import Drive
+from diffdrive.model.parameters import Drive, friction_problem
 from diffdrive.model.quantity import Directional, quantity
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.once import once
@@ -38,7 +39,7 @@ class AppliedLoad(StaticTableEffect):
     edge: Scalar = quantity("s", "how long that takes", above=0.0, default=0.05)
 
     def problem(self, drive: Drive, envelope: Envelope) -> str | None:
-        """A load that lifts the table off its guides, or leaves it without friction."""
+        """A load that lifts the table off its guides, or leaves it with friction that no machine has."""
         least = np.asarray(self.load) + np.minimum(self.more, 0.0)
         normal_force = drive.friction.initial_load + envelope.load + least
         if np.any(normal_force < 0.0):
@@ -46,10 +47,8 @@ class AppliedLoad(StaticTableEffect):
                 f"a load of {np.min(least):g} N lifts the table off its guides, which initial_load and the load press "
                 f"with {np.min(drive.friction.initial_load + envelope.load):g} N"
             )
-        level = drive.friction.coulomb_at(envelope.load + least)
-        if np.any(np.minimum(level.positive, level.negative) <= 0.0):
-            return f"a load of {np.min(least):g} N leaves no Coulomb friction: it must stay above 0"
-        return None
+        problem = friction_problem(drive.friction, envelope.load + least)
+        return None if problem is None else f"with a load of {np.min(least):g} N {problem}"
 
     def acts(self, seen: Seen, drive: Drive, period: float) -> Acts:
         """Coulomb friction in proportion."""
@@ -147,17 +146,11 @@ class FrictionDwell(TableEffect):
         """Breakaway that is gone once the table has rested."""
         max_age = np.asarray(self.rested) + (envelope.duration or 0.0)
         growth = 1.0 + np.asarray(self.growth) * np.log1p(max_age / np.asarray(self.onset))
-        breakaways = drive.friction.coulomb_at(envelope.load) + drive.friction.breakaway_gap.map(
-            lambda gap: gap * growth
+        rested = dataclasses.replace(
+            drive.friction, breakaway_gap=drive.friction.breakaway_gap.map(lambda gap: gap * growth)
         )
-        for side in ("positive", "negative"):
-            breakaway = getattr(breakaways, side)
-            if not np.all(np.asarray(breakaway) > 0.0):
-                return (
-                    f"the breakaway friction in the {side} direction falls to {np.min(breakaway):g} N at rest: it must "
-                    "stay above 0"
-                )
-        return None
+        problem = friction_problem(rested, envelope.load)
+        return None if problem is None else f"at rest {problem}"
 
     def init(self) -> PyTree:
         """The contact's age (s)."""

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import LoadEstimatorError
-from diffdrive.model.friction import lugre_coefficients, steady_friction, stribeck_level
+from diffdrive.model.friction import lugre_coefficients, resolvable, steady_friction, stribeck_level
 from diffdrive.model.parameters import Friction
 from diffdrive.model.transition import state_matrices
 from diffdrive.motion.motion import Motion
@@ -53,7 +53,7 @@ def convergence_gain(observer: KalmanObserver, velocity: Scalar, period: float, 
 
     Dimensionless, signed with the direction of motion; differentiable. `load` (N) is the load slid under.
     """
-    plant, friction, tuning = observer.plant, observer.friction, observer.tuning
+    plant, friction, tuning = observer.plant, resolvable(observer.friction), observer.tuning
     level = stribeck_level(friction, velocity, load)
     deflection = jnp.sign(velocity) * level / lugre_coefficients(friction, velocity, velocity, load).stiffness
     force = (

@@ -11,6 +11,7 @@ from diffdrive.effects import stages
 from diffdrive.loop.metrics import safe_sqrt
 from diffdrive.loop.rollout import scanned
 from diffdrive.loop.step import Inputs, initial_state, step
+from diffdrive.model.friction import resolvable
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.motion.load import Ramp
 from diffdrive.numerics.arrays import Scalar, require_double_precision
@@ -47,7 +48,7 @@ def running_costs(
     Pure, as `rollout_loop`. Differentiable, but for the peak's and the divergence count's kinks.
     """
     require_double_precision()
-    drive = stages.with_machine_effects(drive, drive.effects)
+    drive, controller = resolvable((stages.with_machine_effects(drive, drive.effects), controller))
     limit = stages.force_limit(drive)
     limit = jnp.inf if limit is None else limit
 

@@ -28,7 +28,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.loop.encoders import read_encoders
 from diffdrive.loop.step import LoopState, initial_state, step_machine
 from diffdrive.model import actuator, plant
-from diffdrive.model.friction import lugre_coefficients, steady_friction, stribeck_level
+from diffdrive.model.friction import lugre_coefficients, resolvable, steady_friction, stribeck_level
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.resources import require_memory
@@ -66,7 +66,7 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, point: O
     Pure: for use under `jit`, `vmap`, and differentiation. The gains of a Kalman filter are its steady ones; their
     dependence on its state is of second order where its innovation vanishes, and is left out.
     """
-    drive = stages.with_machine_effects(drive, drive.effects)
+    drive, controller = resolvable((stages.with_machine_effects(drive, drive.effects), controller))
     settled = _settled_state(drive, controller, sampling, point)
     vector, rebuild = _state_vector(settled, controller)
     _require_memory(vector.size, 1)

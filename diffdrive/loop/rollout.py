@@ -15,6 +15,7 @@ from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import stages
 from diffdrive.errors import ParameterError
 from diffdrive.loop.step import Frame, Inputs, LoopState, initial_state, step
+from diffdrive.model.friction import resolvable
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.motion.motion import Motion
 from diffdrive.numerics.arrays import require_double_precision
@@ -67,7 +68,7 @@ def rollout_loop(
     (docs/method/numerics.md).
     """
     require_double_precision()
-    drive = stages.with_machine_effects(drive, drive.effects)
+    drive, controller = resolvable((stages.with_machine_effects(drive, drive.effects), controller))
 
     def body(state: LoopState, inputs_now: Inputs) -> tuple[LoopState, Frame]:
         return step(drive, controller, sampling, key, state, inputs_now)

@@ -205,6 +205,37 @@ def require_compatible(effects: Iterable[PyTree]) -> None:
         holders[effect.exclusive] = effect.name
 
 
+def friction_problem(friction: Friction, load: Scalar | np.ndarray) -> str | None:
+    """Why no machine has this friction under a load (N); None where one may. Traced values are skipped.
+
+    Both levels are positive, or both are zero: then there is no Coulomb friction.
+    """
+    levels, breakaways = friction.coulomb_at(load), friction.breakaway_at(load)
+    for side in ("positive", "negative"):
+        level, breakaway = getattr(levels, side), getattr(breakaways, side)
+        if any(isinstance(value, jax.core.Tracer) for value in (level, breakaway)):
+            continue
+        level, breakaway = np.asarray(level), np.asarray(breakaway)
+        if not np.all(level >= 0.0):
+            return f"the Coulomb friction in the {side} direction is {np.min(level):g} N: it must not be negative"
+        if not np.all((breakaway > 0.0) | ((breakaway == 0.0) & (level == 0.0))):
+            return (
+                f"the breakaway friction in the {side} direction is {np.min(breakaway):g} N: it must be above 0, or 0 "
+                "beside a Coulomb friction of 0"
+            )
+    return None
+
+
+def require_coulomb_friction(drive: Drive, what: str) -> None:
+    """Raise `ParameterError` where `what` needs Coulomb friction to begin from, and the drive has none."""
+    level = drive.friction.coulomb_at(0.0)
+    if not (float(level.positive) > 0.0 and float(level.negative) > 0.0):
+        raise ParameterError(
+            f"friction.coulomb_screw: {what} looks for friction about the drive file's, which has no Coulomb friction: "
+            "give a small coulomb_screw, such as 0.1 N"
+        )
+
+
 def check_drive(drive: Drive) -> None:
     """`check`, and the conditions that concern several parameters."""
     check(drive)
@@ -228,18 +259,5 @@ def check_drive(drive: Drive) -> None:
             f"actuator.limit_rounding of {np.min(width):g} N is lost in the rounding of the force limit of "
             f"{np.max(limit):g} N: check the units of both, or leave out limit_rounding"
         )
-    for side in ("positive", "negative"):
-        level, breakaway = (
-            getattr(pair(0.0), side) for pair in (drive.friction.coulomb_at, drive.friction.breakaway_at)
-        )
-        if not isinstance(level, jax.core.Tracer) and not np.all(np.asarray(level) > 0):
-            raise ParameterError(
-                f"friction: the Coulomb friction in the {side} direction is zero (coulomb_screw + load_coefficient * "
-                "initial_load); LuGre friction needs a positive one: give at least a small coulomb_screw"
-            )
-        if not isinstance(breakaway, jax.core.Tracer) and not np.all(np.asarray(breakaway) > 0):
-            raise ParameterError(
-                f"friction.breakaway_gap in the {side} direction makes the breakaway friction "
-                f"{float(np.min(breakaway)):g} N (coulomb_screw + load_coefficient * initial_load + breakaway_gap): it "
-                "must stay positive"
-            )
+    if problem := friction_problem(drive.friction, 0.0):
+        raise ParameterError(f"friction: {problem} (coulomb_screw + load_coefficient * initial_load + breakaway_gap)")

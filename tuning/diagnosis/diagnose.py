@@ -18,7 +18,7 @@ from diffdrive.effects.catalogue import EFFECTS, effects_by_part
 from diffdrive.effects.scale import LeadError
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.model.parameters import Drive, Sampling, require_coulomb_friction
 from diffdrive.numerics.arrays import as_arrays
 from diffdrive.support.rates import is_same_rate
 from tuning.diagnosis.calibration import TOLERANCE
@@ -144,6 +144,7 @@ def diagnose(
     Raises `LogError` for a log without a long enough piece, and `ParameterError` for a drive that no filter can run and
     for effects that the catalogue has not.
     """
+    require_coulomb_friction(drive, "a diagnosis")
     logged = logged_of(drive, logs)
     unknown = [name for name in without if name not in EFFECTS]
     if unknown:

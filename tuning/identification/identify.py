@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Drive, check_drive
+from diffdrive.model.parameters import Drive, check_drive, require_coulomb_friction
 from diffdrive.model.quantity import Directional
 from diffdrive.numerics.arrays import as_arrays, require_double_precision
 from diffdrive.support.bounds import require_count
@@ -107,6 +107,7 @@ def identify(
     require_search(starts, seed)
     require_double_precision()
     check_drive(drive)
+    require_coulomb_friction(drive, "identification")
     setup = build_problem(logs, drive, fixed, bounded or {})
     problem, free, rate = setup.problem, setup.free, setup.rate
     coarse = Innovations(free, sampling_of(rate, COARSE_SUBSTEP), COARSE_EVERY)

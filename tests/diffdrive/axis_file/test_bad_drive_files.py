@@ -53,10 +53,10 @@ FILES = {
     "negative": ("plant.mass", -1, r"plant\.mass must be above 0 kg"),
     "zero resolution": ("sensor.resolution", 0.0, r"sensor\.resolution must be above 0 m"),
     "micrometres": ("sensor.resolution", 0.1, r"\[sensor\] resolution: 0\.1 m is coarser .* is it in micrometres\?"),
-    "no Coulomb friction": (
+    "no Coulomb friction, and less at rest": (
         "friction",
-        {"coulomb_screw": 0, "load_coefficient": 0},
-        "give at least a small coulomb_screw",
+        {"coulomb_screw": 0, "load_coefficient": 0, "breakaway_gap": -1.0},
+        r"breakaway friction in the positive direction is -1 N: .* beside a Coulomb friction of 0 \(coulomb_screw",
     ),
     "two screws": (
         "effects",

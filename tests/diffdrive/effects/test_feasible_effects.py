@@ -40,7 +40,7 @@ IMPOSSIBLE = {
     "a slope": ("position_friction", {"slope": -20.0}, "takes 200 % of the Coulomb friction off at some place"),
     "more than all viscous friction": ("viscous_drift", {"viscous": -1.5}, "takes off more viscous friction than"),
     "all Coulomb friction": ("viscous_drift", {"coulomb": -1.0}, "leaves no Coulomb friction: it must be above -1"),
-    "breakaway gone at rest": ("friction_dwell", {"growth": -50.0}, "breakaway friction .* falls to -.* N at rest"),
+    "breakaway gone at rest": ("friction_dwell", {"growth": -50.0}, "at rest the breakaway friction .* is -.* N"),
     "no stiffness": ("presliding_hysteresis", {"share": 50.0}, "stiffness before sliding becomes -.* N/m: it must"),
     "a stiff spring": ("position_spring", {"stiffness": -1e12}, r"changes by 1e\+12 N/m along the stroke, more than"),
     "a ripple of nothing": ("cogging", {"period": 1e-300, "sine": 1.0}, r"is 1e\+299 of its waves, of which 1e\+09"),
