@@ -8,6 +8,7 @@ from .logs.log import Log
 from .logs.read import read_log, read_logs
 from .loop.recording import Recording, record
 from .loop.run import Run
+from .model.data_sheet import DataSheet
 from .model.trace import Trace
 from .motion import load
 from .paper import paper_axis
@@ -16,6 +17,7 @@ from .simulation import Rollout, rollout, simulate
 
 __all__ = [
     "Axis",
+    "DataSheet",
     "EncoderComparison",
     "LinearLoop",
     "Log",

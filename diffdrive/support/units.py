@@ -3,7 +3,7 @@
 import functools
 import math
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from diffdrive.support.messages import shortened
 
@@ -20,7 +20,14 @@ _SLIPS = {"megameter": ("Mm", "mm", "1000 km"), "megasecond": ("Ms", "ms", "1e6 
 def _registry() -> "pint.UnitRegistry":
     import pint  # half a second, and most programs read no unit
 
-    return pint.UnitRegistry()
+    registry = pint.UnitRegistry()
+    registry.define("newton_meter = newton * meter = Nm")  # as data sheets write them, and pint does not
+    registry.define("@alias turn = rev")
+    return registry
+
+
+class WrongUnitError(ValueError):
+    """A number with a unit, but not with one that converts to the unit asked for."""
 
 
 def in_unit(unit: str) -> str:
@@ -31,9 +38,10 @@ def in_unit(unit: str) -> str:
 def to_si(text: str, unit: str) -> float:
     """`text`, one number and its unit, in the SI `unit`; without a unit only where `unit` is 1.
 
-    Raises `ValueError` with the reason. A million metres, seconds or grams (Mm for mm) are taken for a typing error.
-    Angles are units of their own: pint treats a radian as a plain number, so that 1500 rad/s would pass for 1500 Hz
-    and 10 deg for 0.17 m.
+    Raises `ValueError` with the reason, `WrongUnitError` where only the unit is another. A million metres, seconds or
+    grams (Mm for mm) are taken for a typing error. Angles and counts are units of their own, and a percent is one but
+    where a ratio is asked for: pint treats them as plain numbers, so that 1500 rad/s would pass for 1500 Hz, 10 deg for
+    0.17 m and 80 % for 0.8 counts.
     """
     import pint
 
@@ -44,13 +52,15 @@ def to_si(text: str, unit: str) -> float:
     try:
         quantity = _registry().Quantity(text)
         units = [name for name, _ in quantity.unit_items()]
-        angular = "radian" in str(quantity.to_base_units().units) or "degree" in str(quantity.units)
-        if angular and unit != "rad":
+        given, wanted = _plain_to_pint(quantity), _plain_to_pint(_registry().Quantity(1.0, _pint_unit(unit)))
+        if unit == "1":
+            given = {name: power for name, power in given.items() if name == "radian"}
+        if given != wanted:
             raise pint.DimensionalityError(text, unit)
-        value = float(quantity.to("dimensionless" if unit == "1" else unit).magnitude)
+        value = float(quantity.to(_pint_unit(unit)).magnitude)
     except pint.DimensionalityError:
         expected = "a plain number" if unit == "1" else f"in {unit} or a multiple of it"
-        raise ValueError(f"'{quoted}' has the wrong unit: it must be {expected}") from None
+        raise WrongUnitError(f"'{quoted}' has the wrong unit: it must be {expected}") from None
     except OverflowError:  # a whole number of 400 digits
         value = math.inf
     except Exception:
@@ -61,3 +71,16 @@ def to_si(text: str, unit: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"'{quoted}' is larger than any number of double precision")
     return value
+
+
+def _pint_unit(unit: str) -> str:
+    return "dimensionless" if unit == "1" else unit
+
+
+def _plain_to_pint(quantity: "pint.Quantity") -> dict[str, float]:
+    """The powers of the units in it that pint treats as plain numbers, though they are none."""
+    base: dict[str, Any] = dict(quantity.to_base_units().unit_items())
+    stated: dict[str, Any] = dict(quantity.unit_items())
+    share = stated.get("percent", 0) + stated.get("permille", 0)
+    powers = {"radian": base.get("radian", 0), "count": base.get("count", 0), "percent": share}
+    return {name: power for name, power in powers.items() if power}
