@@ -12,9 +12,11 @@ from jaxtyping import PyTree
 from diffdrive.controllers import Controller, UnknownController
 from diffdrive.effects.base import ActuatorEffect, Effect
 from diffdrive.effects.catalogue import in_order
+from diffdrive.effects.data_sheet import require_agreement
 from diffdrive.errors import ParameterError
 from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.loop.smooth import smooth
+from diffdrive.model.data_sheet import NO_SHEET, DataSheet
 from diffdrive.model.parameters import Actuator, Drive, Sampling
 from diffdrive.model.quantity import Directional, is_number, node_at, parameter_value, quantities, with_nodes
 from diffdrive.model.trace import Trace
@@ -26,7 +28,7 @@ PARTS = ("plant", "friction", "actuator", "sensor", "motor_encoder", "effects") 
 
 
 class Axis(eqx.Module):
-    """What a drive file holds: the drive, its controller, sampling, the limits of the axis, and how its logs read.
+    """What a drive file holds: the drive, its controller, sampling, limits, how its logs read, and its data sheet.
 
     `name` is what reports call it.
 
@@ -48,6 +50,7 @@ class Axis(eqx.Module):
     mapping: ColumnMapping = eqx.field(static=True, default_factory=ColumnMapping)
     name: str = eqx.field(static=True, default="axis")
     trace: Trace = Trace()  # which rows its control writes into a log
+    sheet: DataSheet = eqx.field(static=True, default=NO_SHEET)  # what its data sheets say: lead, gear, motor
 
     @property
     def rate(self) -> float:
@@ -177,10 +180,11 @@ class Axis(eqx.Module):
     def with_effects(self, *effects: Effect) -> "Axis":
         """The axis with these unmodelled effects beside those that it has; an effect replaces one of its name.
 
-        They are no part of its controller's model. Raises `ParameterError` for one that is not registered, and for two
-        that no machine has beside each other, such as two screws.
+        They are no part of its controller's model. Raises `ParameterError` for one that is not registered, for two that
+        no machine has beside each other, such as two screws, and for one that contradicts the data sheet.
         """
         names = {effect.name for effect in in_order(effects)}
+        require_agreement(effects, self.sheet)
         remaining = [effect for effect in self.drive.effects if effect.name not in names]
         drive = eqx.tree_at(
             lambda d: d.effects,

@@ -23,9 +23,13 @@ from diffdrive.controllers.base import require_rate
 from diffdrive.controllers.kinds import Parameters
 from diffdrive.effects.base import Effect
 from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.effects.data_sheet import require_agreement, stated_parameters, without_contradicted
 from diffdrive.effects.feasibility import limits_envelope, require_feasible
 from diffdrive.errors import DriveFileError, LogError, ParameterError
 from diffdrive.logs.mapping import mapping_tables, parse_mapping
+from diffdrive.model.data_sheet import KINDS as AXIS_KINDS
+from diffdrive.model.data_sheet import NO_SHEET, DataSheet
+from diffdrive.model.motor_units import axis_unit, to_axis_si
 from diffdrive.model.parameters import Actuator, Drive, Friction, Plant, Sampling, Sensor, check_drive
 from diffdrive.model.quantity import Directional, Quantity, check, quantity_table
 from diffdrive.model.trace import CHOICES, Trace, check_trace
@@ -34,16 +38,19 @@ from diffdrive.support.atomic_write import write_text
 from diffdrive.support.messages import short_repr, shortened
 from diffdrive.support.text_file import read_toml
 from diffdrive.support.typing import TomlTable
-from diffdrive.support.units import in_unit, to_si
+from diffdrive.support.units import in_unit
+
+LIGHTEST_ROTOR = 0.9  # of its inertia on the data sheet, which is stated to 10 %
 
 
 class TomlSection:
     """One table of a drive file; takes keys out one by one and raises for those that are left."""
 
-    def __init__(self, source: str, name: str, table: object) -> None:
+    def __init__(self, source: str, name: str, table: object, sheet: DataSheet = NO_SHEET) -> None:
         if not isinstance(table, dict):
             raise DriveFileError(f"{source}: [{name}] must be a table, got {short_repr(table)}")
         self.source, self.name, self.table, self._remaining = source, name, table, dict(table)
+        self.sheet = sheet  # by which units of the motor are read
         self._accepted: list[str] = []
         self._below: list[TomlSection] = []
         self.kind: str | None = None  # of the controller, where the accepted keys depend on it
@@ -64,7 +71,7 @@ class TomlSection:
 
     def subsection(self, key: str) -> "TomlSection":
         """The table below `key`, empty if it is absent."""
-        subsection = TomlSection(self.source, f"{self.name}.{key}", self.take(key, {}))
+        subsection = TomlSection(self.source, f"{self.name}.{key}", self.take(key, {}), self.sheet)
         if self.kind is not None:
             subsection.set_kind(self.kind, self._kinds_of_table)
         self._below.append(subsection)
@@ -88,15 +95,16 @@ class TomlSection:
 
     def _number(self, key: str, value: object, unit: str) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float | str):
-            or_text = "" if unit == "1" else f', or a string such as "1.5 {unit}"'
-            raise self.fail(key, f"must be a number{in_unit(unit)}{or_text}, got {short_repr(value)}")
+            own = axis_unit(unit, self.sheet)
+            or_text = "" if unit == "1" else f', or a string such as "1.5 {own}"'
+            raise self.fail(key, f"must be a number{in_unit(own)}{or_text}, got {short_repr(value)}")
         if not isinstance(value, str):
             try:
                 return float(value)
             except OverflowError:
                 raise self.fail(key, f"{short_repr(value)} is larger than any number of double precision") from None
         try:
-            return to_si(value, unit)
+            return to_axis_si(value, unit, self.sheet)
         except ValueError as problem:
             raise self.fail(key, str(problem)) from None
 
@@ -105,9 +113,8 @@ class TomlSection:
         if default is dataclasses.MISSING and key not in self._remaining:
             close = difflib.get_close_matches(key, self._remaining, n=1)
             hint = f"; is it meant by '{close[0]}'?" if close else ""
-            raise self.fail(
-                key, f"is missing: give the {declared.meaning},{in_unit(declared.unit) or ' a number'}{hint}"
-            )
+            unit = in_unit(axis_unit(declared.unit, self.sheet)) or " a number"
+            raise self.fail(key, f"is missing: give the {declared.meaning},{unit}{hint}")
         value = self.take(key, default)
         if value is default:
             return value
@@ -115,7 +122,8 @@ class TomlSection:
             return None
         if isinstance(value, list):
             if not declared.directional:
-                raise self.fail(key, f"must be one number{in_unit(declared.unit)}, got {short_repr(value)}")
+                unit = in_unit(axis_unit(declared.unit, self.sheet))
+                raise self.fail(key, f"must be one number{unit}, got {short_repr(value)}")
             if len(value) != 2:
                 raise self.fail(key, f"needs two values, [positive, negative], got {short_repr(value)}")
             return Directional(*(self._number(key, side, declared.unit) for side in value))
@@ -148,6 +156,25 @@ class TomlSection:
         close = difflib.get_close_matches(key, self._accepted, n=1)
         hint = f"did you mean '{close[0]}'?" if close else f"known here: {', '.join(sorted(set(self._accepted)))}"
         raise self.fail(key, f"unknown key; {hint}")
+
+
+def _data_sheet(section: TomlSection) -> DataSheet:
+    """The table [axis]. Its numbers are the motor's own; the scale is at the table, and counts rad where that turns."""
+    kind = section.take("kind", "linear")
+    if kind not in AXIS_KINDS:
+        raise section.fail("kind", f"must be one of {', '.join(AXIS_KINDS)}, got {short_repr(kind)}")
+    at_table = TomlSection(section.source, section.name, section.table, DataSheet(kind=cast(str, kind)))
+    name = "scale_period"
+    section.take(name, None)
+    period = at_table.quantity(name, DataSheet.__dataclass_fields__[name].metadata["quantity"], None)
+    return section.build(DataSheet, kind=kind, scale_period=period)
+
+
+def _lighter_than_rotor(plant: Plant, sheet: DataSheet) -> str:
+    return (
+        f"is {float(plant.mass):.4g} {axis_unit('kg', sheet)}, less than the motor's rotor alone: [axis] motor_inertia "
+        f"makes {sheet.rotor_mass:.4g}; check its unit, lead and gear_ratio"
+    )
 
 
 def _limits(section: TomlSection) -> Limits:
@@ -191,32 +218,40 @@ def _trace_table(trace: Trace) -> TomlTable:
 
 
 def _effects(section: TomlSection) -> tuple[Effect, ...]:
-    """The effects of the tables [effects.NAME], in the catalogue's order."""
+    """The effects of the tables [effects.NAME], in the catalogue's order; what [axis] states may be left out."""
     effects = []
     for name, effect in EFFECTS.items():
         if section.take(name, None) is not None:
-            subsection = TomlSection(section.source, f"effects.{name}", section.table[name])
-            effects.append(subsection.build(effect))
+            subsection = TomlSection(section.source, f"effects.{name}", section.table[name], section.sheet)
+            stated = stated_parameters(section.sheet, effect)
+            left_out = {key: value for key, value in stated.items() if key not in subsection.table}
+            effects.append(subsection.build(effect, **left_out))
             subsection.done()
     section.done()
+    try:
+        require_agreement(effects, section.sheet)
+    except ParameterError as error:
+        raise DriveFileError(f"{section.source}: {error}") from None
     return tuple(effects)
 
 
 def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
     """A drive file's tables, already read from TOML; `source` names the file in errors."""
     root = TomlSection(source, "drive file", tables)
+    stated = TomlSection(source, "axis", root.take("axis", {}))
+    sheet = _data_sheet(stated)
     sections = {
-        name: TomlSection(source, name, root.take(name, {}))
+        name: TomlSection(source, name, root.take(name, {}), sheet)
         for name in ("plant", "friction", "actuator", "sensor", "controller", "sampling", "trace", "limits")
     }
     try:
-        mapping = parse_mapping(*(cast(TomlTable, root.take(key, {})) for key in ("columns", "units", "shifts")))
+        mapping = parse_mapping(*(cast(TomlTable, root.take(key, {})) for key in ("columns", "units", "shifts")), sheet)
     except LogError as error:
         raise DriveFileError(f"{source}: {error}") from None
     effects, motor_encoder = root.take("effects", {}), root.take("motor_encoder", None)
     root.done()
     if motor_encoder is not None:
-        sections["motor_encoder"] = TomlSection(source, "motor_encoder", motor_encoder)
+        sections["motor_encoder"] = TomlSection(source, "motor_encoder", motor_encoder, sheet)
     delay = sections["actuator"].take("delay_samples", 0)
     if isinstance(delay, bool) or not isinstance(delay, int) or delay < 0:
         raise sections["actuator"].fail(
@@ -227,9 +262,11 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
         friction=sections["friction"].build(Friction),
         actuator=sections["actuator"].build(Actuator, delay_samples=delay),
         sensor=sections["sensor"].build(Sensor),
-        effects=_effects(TomlSection(source, "effects", effects)),
+        effects=_effects(TomlSection(source, "effects", effects, sheet)),
         motor_encoder=None if motor_encoder is None else sections["motor_encoder"].build(Sensor),
     )
+    if sheet.rotor_mass is not None and float(drive.plant.mass) < LIGHTEST_ROTOR * sheet.rotor_mass:
+        raise sections["plant"].fail("mass", _lighter_than_rotor(drive.plant, sheet))
     rate = sections["sampling"].number("rate", "Hz", 10_000.0)
     substeps = sections["sampling"].take("substeps", None)
     try:
@@ -247,7 +284,8 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
         if encoder is not None and float(encoder.resolution or 0.0) > 1e-2 * min(high - low, 1.0):
             raise sections[name].fail(
                 "resolution",
-                f"{encoder.resolution:g} m is coarser than a hundredth of the stroke; is it in micrometres?",
+                f"{encoder.resolution:g} {axis_unit('m', sheet)} is coarser than a hundredth of the stroke; is it in "
+                f"{'microradians' if sheet.is_rotary else 'micrometres'}?",
             )
     controller = build_controller(sections["controller"], drive)
     try:
@@ -255,9 +293,9 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
     except ParameterError as error:
         raise DriveFileError(f"{source}: {error}") from None
     trace = _trace(sections["trace"], sampling.rate, drive)
-    for section in sections.values():
+    for section in (stated, *sections.values()):
         section.done()
-    return Axis(drive, controller, sampling, limits, mapping, trace=trace)
+    return Axis(drive, controller, sampling, limits, mapping, trace=trace, sheet=sheet)
 
 
 def read_axis(path: str | Path) -> Axis:
@@ -282,7 +320,9 @@ def read_axis(path: str | Path) -> Axis:
 def axis_tables(axis: Axis) -> dict[str, TomlTable]:
     """The tables of a drive file that `parse_axis` reads back to the same axis."""
     drive, limits = axis.drive, axis.limits
-    tables: dict[str, TomlTable] = {
+    sheet = without_contradicted(axis.sheet, drive.effects)
+    tables: dict[str, TomlTable] = {} if sheet.is_empty else {"axis": {"kind": sheet.kind} | quantity_table(sheet)}
+    tables |= {
         "plant": quantity_table(drive.plant),
         "friction": quantity_table(drive.friction),
         "actuator": quantity_table(drive.actuator) | {"delay_samples": drive.actuator.delay_samples},
@@ -302,8 +342,14 @@ def axis_tables(axis: Axis) -> dict[str, TomlTable]:
         if np.isfinite(getattr(limits, name)):
             tables["limits"][name] = getattr(limits, name)
     if drive.effects:
-        tables["effects"] = {effect.name: quantity_table(effect) for effect in drive.effects}
+        tables["effects"] = {effect.name: _effect_table(effect, sheet) for effect in drive.effects}
     return tables | mapping_tables(axis.mapping)
+
+
+def _effect_table(effect: Effect, sheet: DataSheet) -> TomlTable:
+    """What the data sheet does not state."""
+    stated = stated_parameters(sheet, type(effect))
+    return {key: value for key, value in quantity_table(effect).items() if stated.get(key) != value}
 
 
 def faithful_tables(axis: Axis, source: str) -> dict[str, TomlTable]:

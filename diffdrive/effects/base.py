@@ -9,6 +9,7 @@ effects in its loop; the diagnosis steps the same code along a measured trajecto
 
 import abc
 import enum
+from collections.abc import Mapping
 from typing import ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -89,11 +90,14 @@ class Effect(eqx.Module):
     """One unmodelled effect: `name` is that of the catalogue, `part` the part of the machine it belongs to.
 
     A drive has each effect once, and of those that are `exclusive` in the same thing, such as the screw, one.
+    `from_sheet` names the parameters that an axis's data sheet states, each with the key of [axis] that does: a drive
+    file may leave them out.
     """
 
     name: ClassVar[str]
     part: ClassVar[str] = "plant"
     exclusive: ClassVar[str | None] = None
+    from_sheet: ClassVar[Mapping[str, str]] = {}
 
     def problem(self, drive: Drive, envelope: Envelope) -> str | None:
         """Why this effect on `drive` is physically impossible or cannot be computed; None where it is feasible.

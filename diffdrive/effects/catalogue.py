@@ -12,6 +12,7 @@ from diffdrive.effects.machine import FrictionAsymmetry, FrictionShape, PayloadM
 from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import ParameterError
+from diffdrive.model.data_sheet import NO_SHEET
 from diffdrive.model.parameters import require_compatible
 from diffdrive.support.messages import short_repr
 from diffdrive.support.registry import Registry
@@ -80,6 +81,9 @@ def register(effect: type[EffectType]) -> type[EffectType]:
             raise ParameterError(f"effect {name}: declare {field.name} with its unit and meaning, as by `amplitude`")
         if field.default is dataclasses.MISSING:
             raise ParameterError(f"effect {name}: {field.name} needs a default; with all of them it does nothing")
+    for parameter, key in effect.from_sheet.items():
+        if not hasattr(effect, parameter) or not hasattr(NO_SHEET, key):
+            raise ParameterError(f"effect {name}: from_sheet: no parameter '{parameter}', or no key '{key}' of [axis]")
     EFFECTS.add(name, effect)
     return effect
 

@@ -1,5 +1,6 @@
 """Effects on the measured position."""
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -35,6 +36,7 @@ class LeadError(ScaleEffect):
     """
 
     name: ClassVar[str] = "lead_error"
+    from_sheet: ClassVar[Mapping[str, str]] = {"lead": "lead"}
     of_screw: ClassVar[bool] = True
     lead: Scalar = quantity("m", "lead of the screw", above=0.0, default=5e-3)
     cosine: Scalar = quantity("m", "amplitude of the cosine", default=0.0)
@@ -55,6 +57,7 @@ class InterpolationError(ScaleEffect):
     """Sub-divisional error of the scale: first and second harmonic of its signal period."""
 
     name: ClassVar[str] = "interpolation_error"
+    from_sheet: ClassVar[Mapping[str, str]] = {"period": "scale_period"}
     period: Scalar = quantity("m", "signal period of the scale", above=0.0, default=2e-5)
     cosine: Scalar = quantity("m", "amplitude of the cosine", default=0.0)
     sine: Scalar = quantity("m", "amplitude of the sine", default=0.0)

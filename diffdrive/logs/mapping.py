@@ -9,8 +9,9 @@ from typing import cast
 from diffdrive.errors import LogError
 from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
 from diffdrive.logs.log import READABLE
+from diffdrive.model.data_sheet import NO_SHEET, DataSheet
+from diffdrive.model.motor_units import axis_unit, to_axis_si
 from diffdrive.support.messages import short_repr, suggestion
-from diffdrive.support.units import to_si
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,6 +22,7 @@ class ColumnMapping:
     column unit, such as "mm", "50 nm" or "-0.1 N". `force_per_volt` (N/V) and `force_per_ampere` (N/A) turn a command
     in V or A into newtons. `shifts` shifts a channel that was recorded early or late by whole samples, positive to
     later times; what was injected into the command shifts with it. A key such as "lap2:command" is of that log alone.
+    By the axis's data sheet, `sheet`, columns in units of the motor are read, such as "%" or "deg".
     Raises `LogError` for a channel or unit that does not exist, and for a shift that is no whole number.
     """
 
@@ -29,6 +31,7 @@ class ColumnMapping:
     force_per_volt: float | None = None
     force_per_ampere: float | None = None
     shifts: dict[str, int] = dataclasses.field(default_factory=dict)
+    sheet: DataSheet = NO_SHEET
 
     def __post_init__(self) -> None:
         for table in ("columns", "units"):
@@ -67,7 +70,7 @@ class ColumnMapping:
 
     def __hash__(self) -> int:  # so that an axis can be a static argument of compiled functions
         tables = (tuple(sorted(table.items())) for table in (self.columns, self.units, self.shifts))
-        return hash((*tables, self.force_per_volt, self.force_per_ampere))
+        return hash((*tables, self.force_per_volt, self.force_per_ampere, self.sheet))
 
     @property
     def force_per(self) -> dict[str, float]:
@@ -87,7 +90,7 @@ class ColumnMapping:
     def conversion(self, channel: str, unit: str, where: str) -> Conversion:
         """How a column of `channel` in `unit` becomes SI; `where` begins the `LogError` if it cannot."""
         try:
-            return conversion(channel, unit, self.force_per)
+            return conversion(channel, unit, self.force_per, self.sheet)
         except ValueError as error:
             raise LogError(f"{where}: {error}") from None
 
@@ -98,7 +101,7 @@ class ColumnMapping:
 
         A shift of a channel in all logs replaces those in single ones. Raises `LogError` as the mapping itself.
         """
-        gains = {key: _parse_gain(key, units[key]) for key in FORCE_PER if key in units}
+        gains = {key: _parse_gain(key, units[key], self.sheet) for key in FORCE_PER if key in units}
         channel_units = {key: cast(str, unit) for key, unit in units.items() if key not in FORCE_PER}
         kept = {key: samples for key, samples in self.shifts.items() if log_and_channel(key)[1] not in shifts}
         # the whole is checked, not what overrides: a unit in volts may rest on the force per volt that is there already
@@ -127,25 +130,44 @@ def matches_log(log: str, path: Path) -> bool:
 _EXAMPLE = {"columns": '"qm"', "units": '"mm" or "50 nm"'}
 
 
-def parse_mapping(columns: dict[str, object], units: dict[str, object], shifts: dict[str, object]) -> ColumnMapping:
+def parse_mapping(
+    columns: dict[str, object], units: dict[str, object], shifts: dict[str, object], sheet: DataSheet
+) -> ColumnMapping:
     """From the tables of a drive file; raises `LogError` naming the key and the remedy."""
     for name, table in (("columns", columns), ("units", units), ("shifts", shifts)):
         if not isinstance(table, dict):
             raise LogError(f"[{name}] must be a table, got {short_repr(table)}")
     # the values are checked where the mapping is made
-    return ColumnMapping().overridden(cast(dict[str, str], columns), units, cast(dict[str, int], shifts))
+    return ColumnMapping(sheet=sheet).overridden(cast(dict[str, str], columns), units, cast(dict[str, int], shifts))
 
 
 def mapping_tables(mapping: ColumnMapping) -> dict[str, dict[str, object]]:
-    """The tables of a drive file that `parse_mapping` reads back to the same mapping; none where it is empty."""
+    """The tables of a drive file that `parse_mapping` reads back to the same mapping; none where it is empty.
+
+    Units of the motor are written as what they are at the table, in SI.
+    """
     gains = {key: getattr(mapping, key) for key in FORCE_PER if getattr(mapping, key) is not None}
     tables: dict[str, dict[str, object]] = {
-        "columns": {**mapping.columns}, "units": {**mapping.units, **gains}, "shifts": {**mapping.shifts},
+        "columns": {**mapping.columns}, "units": {**_at_table(mapping), **gains}, "shifts": {**mapping.shifts},
     }  # fmt: skip
     return {name: table for name, table in tables.items() if table}
 
 
-def _parse_gain(key: str, value: object) -> float:
+def _at_table(mapping: ColumnMapping) -> dict[str, str]:
+    """The units, those of the motor in SI."""
+    plain = DataSheet(kind=mapping.sheet.kind)
+    units = {}
+    for channel, text in mapping.units.items():
+        try:
+            conversion(channel, text, mapping.force_per, plain)
+        except ValueError:
+            factor = mapping.conversion(channel, text, f"[units] {channel}").factor
+            text = f"{factor!r} {axis_unit(READABLE[channel].unit, mapping.sheet)}"
+        units[channel] = text
+    return units
+
+
+def _parse_gain(key: str, value: object, sheet: DataSheet) -> float:
     unit = f"N/{FORCE_PER[key]}"
     if isinstance(value, str):
         try:
@@ -154,11 +176,11 @@ def _parse_gain(key: str, value: object) -> float:
         except ValueError:
             pass
         try:
-            return to_si(value, unit)
+            return to_axis_si(value, unit, sheet)
         except ValueError as error:
             raise LogError(f"[units] {key}: {error}") from None
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise LogError(f"[units] {key}: must be a number in {unit}, got {short_repr(value)}")
+        raise LogError(f"[units] {key}: must be a number in {axis_unit(unit, sheet)}, got {short_repr(value)}")
     try:
         return float(value)
     except OverflowError:

@@ -78,6 +78,8 @@ def read_log(
 
     """
     mapping = mapping or (ColumnMapping() if axis is None else axis.mapping)
+    if axis is not None and mapping.sheet.is_empty:
+        mapping = dataclasses.replace(mapping, sheet=axis.sheet)
     if columns or units or shifts:
         mapping = mapping.overridden(columns or {}, units or {}, shifts or {})
     rate = rate if rate is not None or axis is None else axis.log_rate

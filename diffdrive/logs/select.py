@@ -13,6 +13,7 @@ from diffdrive.logs.column_unit import FORCES, Conversion, is_unit_of, split_uni
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import READABLE
 from diffdrive.logs.mapping import ColumnMapping
+from diffdrive.model.data_sheet import DataSheet
 from diffdrive.support.messages import quoted_names
 
 
@@ -46,12 +47,14 @@ def select(table: Table, mapping: ColumnMapping) -> tuple[dict[str, np.ndarray],
 
 
 def _assign_columns(table: Table, mapping: ColumnMapping) -> dict[str, str]:
-    chosen = {channel: _mapped_column(table, channel, column) for channel, column in mapping.columns.items()}
+    chosen = {
+        channel: _mapped_column(table, channel, column, mapping.sheet) for channel, column in mapping.columns.items()
+    }
     for channel, declaration in READABLE.items():
         if channel in chosen:
             continue
         free = [column for column in table.columns if column not in chosen.values()]
-        matches = _matching_columns(free, channel, channel, exact=False)
+        matches = _matching_columns(free, channel, channel, mapping.sheet, exact=False)
         if len(matches) > 1:
             raise LogError(
                 f"{table.source}: the columns {quoted_names(matches)} may each be the {channel}; say which: [columns] "
@@ -105,8 +108,8 @@ def _require_no_unmapped_time(table: Table, taken: list[str]) -> None:
             )
 
 
-def _mapped_column(table: Table, channel: str, column: str) -> str:
-    matches = _matching_columns(list(table.columns), column, channel, exact=True)
+def _mapped_column(table: Table, channel: str, column: str, sheet: DataSheet) -> str:
+    matches = _matching_columns(list(table.columns), column, channel, sheet, exact=True)
     if len(matches) == 1:
         return matches[0]
     if matches:
@@ -122,12 +125,12 @@ def _mapped_column(table: Table, channel: str, column: str) -> str:
     )
 
 
-def _matching_columns(columns: list[str], name: str, channel: str, *, exact: bool) -> list[str]:
+def _matching_columns(columns: list[str], name: str, channel: str, sheet: DataSheet, *, exact: bool) -> list[str]:
     """The columns that the name fits best: as written, then but for case and unit, then as the end of a path."""
     wanted = name.strip().casefold()
 
     def names(column: str) -> set[str]:
-        return {column.strip().casefold(), split_unit(column, channel)[0].casefold()}
+        return {column.strip().casefold(), split_unit(column, channel, sheet)[0].casefold()}
 
     rules: list[Callable[[str], bool]] = [
         lambda column: exact and column == name,
@@ -142,7 +145,7 @@ def _matching_columns(columns: list[str], name: str, channel: str, *, exact: boo
 
 
 def _conversion(table: Table, mapping: ColumnMapping, channel: str, column: str) -> tuple[Conversion, list[str]]:
-    file_unit = table.units.get(column) or split_unit(column, channel)[1]
+    file_unit = table.units.get(column) or split_unit(column, channel, mapping.sheet)[1]
     mapped_unit = mapping.units.get(channel)
     where = f"{table.source}: column '{column}'"
     if file_unit is None:
@@ -155,11 +158,11 @@ def _conversion(table: Table, mapping: ColumnMapping, channel: str, column: str)
             )
         return Conversion(1.0), []
     if mapped_unit is None:
-        if is_unit_of(channel, file_unit):
+        if is_unit_of(channel, file_unit, mapping.sheet):
             return mapping.conversion(channel, file_unit, where), []
         raise LogError(
             f"{where}: '{file_unit}' is no unit of the {channel}; correct the file's header, or write what one unit of "
-            f"the column is, such as [units] {channel} = {unit_example(channel)}"
+            f"the column is, such as [units] {channel} = {unit_example(channel, mapping.sheet)}"
         )
     chosen = mapping.conversion(channel, mapped_unit, where)
     try:

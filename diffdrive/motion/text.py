@@ -13,11 +13,12 @@ import numpy as np
 
 from diffdrive import motion
 from diffdrive.errors import MotionError, ParameterError
+from diffdrive.model.data_sheet import NO_SHEET, DataSheet
+from diffdrive.model.motor_units import to_axis_si
 from diffdrive.motion import load
 from diffdrive.motion.file import parse_motion_table, read_motion
 from diffdrive.motion.motion import Motion
 from diffdrive.support.messages import shortened
-from diffdrive.support.units import to_si
 
 MOTIONS: dict[str, Callable[..., Motion]] = {
     "triangular": motion.triangular,
@@ -56,22 +57,22 @@ def _plain_number(text: str) -> float | None:
     return None
 
 
-def number(text: str, unit: str, where: str) -> float:
-    """A number in the SI `unit` from text: bare, or with a unit that converts to it."""
+def number(text: str, unit: str, where: str, sheet: DataSheet = NO_SHEET) -> float:
+    """A number in the SI `unit` from text: bare, or with a unit that converts to it, by the axis's data sheet."""
     plain = _plain_number(text)
     if plain is not None and math.isfinite(plain):
         return plain
     if plain is not None and any(character.isdigit() for character in text):  # and not "inf"
         raise MotionError(f"{where}: '{shortened(text)}' is larger than any number of double precision")
     try:
-        return to_si(text, unit)
+        return to_axis_si(text, unit, sheet)
     except ValueError as problem:
         raise MotionError(f"{where}: {problem}") from None
 
 
-def nonnegative_number(text: str, unit: str, where: str) -> float:
+def nonnegative_number(text: str, unit: str, where: str, sheet: DataSheet = NO_SHEET) -> float:
     """`number`, not negative."""
-    value = number(text, unit, where)
+    value = number(text, unit, where, sheet)
     if value < 0.0:
         raise MotionError(f"{where} {text}: must be 0 or more")
     return value
@@ -88,24 +89,26 @@ def share(value: str | float, where: str, *, at_most: float, may_be_zero: bool =
     return found
 
 
-def numbers(text: str, unit: str, where: str) -> list[float]:
+def numbers(text: str, unit: str, where: str, sheet: DataSheet = NO_SHEET) -> list[float]:
     """Numbers separated by ;, where a unit after the last applies to all: `5;10;20 N`."""
     parts = text.split(";")
     trailing = re.fullmatch(r"\s*[-+.\deE]+\s*([^-+.\d\seE].*)", parts[-1])
     if trailing:
         parts = [part if re.search(r"[^\d\s.+eE-]", part) else f"{part} {trailing[1]}" for part in parts]
-    return [number(part, unit, where) for part in parts]
+    return [number(part, unit, where, sheet) for part in parts]
 
 
-def _value(text: str, key: str, unit: str, where: str) -> float | list[float] | list[tuple[float, ...]]:
+def _value(
+    text: str, key: str, unit: str, where: str, sheet: DataSheet
+) -> float | list[float] | list[tuple[float, ...]]:
     """One number; for plural settings a list a;b;c, for cuts a list of pairs from~to."""
     if key in PAIRS:
-        return [tuple(number(end, unit, where) for end in pair.split("~")) for pair in text.split(";")]
+        return [tuple(number(end, unit, where, sheet) for end in pair.split("~")) for pair in text.split(";")]
     if key in LISTS:
-        return numbers(text, unit, where)
+        return numbers(text, unit, where, sheet)
     if ";" in text:
         raise MotionError(f"{where}: one number expected, got '{text}'")
-    return number(text, unit, where)
+    return number(text, unit, where, sheet)
 
 
 Built = TypeVar("Built")  # a motion, or the array of a load
@@ -134,7 +137,9 @@ class Recipe(Generic[Built]):
         return found
 
 
-def _recipe(kind: str, text: str, builder: Callable[..., Built], units: dict[str, str]) -> Recipe[Built]:
+def _recipe(
+    kind: str, text: str, builder: Callable[..., Built], units: dict[str, str], sheet: DataSheet
+) -> Recipe[Built]:
     parameters = inspect.signature(builder).parameters
     known = [name for name in parameters if name not in ("time", "rate")]
     settings: dict[str, object] = {}
@@ -145,44 +150,47 @@ def _recipe(kind: str, text: str, builder: Callable[..., Built], units: dict[str
             raise MotionError(f"{kind}: '{item}' is not one of its settings; they are {', '.join(known)}")
         if key in settings:
             raise MotionError(f"{kind}: {key} is given twice")
-        settings[key] = _value(value.strip(), key, units[key], f"{kind}: {key}")
+        settings[key] = _value(value.strip(), key, units[key], f"{kind}: {key}", sheet)
     needed = [name for name in known if parameters[name].default is inspect.Parameter.empty and name not in settings]
     if needed:
         raise MotionError(f"{kind}: still needs {', '.join(needed)}; write {kind}:{needed[0]}=...")
     return Recipe(kind, builder, units, settings)
 
 
-def motion_recipe(text: str) -> Recipe[Motion] | None:
-    """The recipe of `name:key=value,...` (lists with ;); None if `name` is no motion, as for a file."""
+def motion_recipe(text: str, sheet: DataSheet = NO_SHEET) -> Recipe[Motion] | None:
+    """The recipe of `name:key=value,...` (lists with ;); None if `name` is no motion, as for a file.
+
+    By the axis's data sheet numbers may be in units of its motor, `speed=3000rpm`.
+    """
     name, _, rest = text.partition(":")
-    return _recipe(name, rest, MOTIONS[name], MOTION_UNITS) if name in MOTIONS else None
+    return _recipe(name, rest, MOTIONS[name], MOTION_UNITS, sheet) if name in MOTIONS else None
 
 
-def load_recipe(text: str) -> Recipe[np.ndarray] | None:
+def load_recipe(text: str, sheet: DataSheet = NO_SHEET) -> Recipe[np.ndarray] | None:
     """The recipe of `name:key=value,...` (pairs of times as cuts=1~2;3~4); None for a plain number."""
     name, colon, rest = text.partition(":")
     if name in LOADS:
-        return _recipe(name, rest, LOADS[name], LOAD_UNITS)
+        return _recipe(name, rest, LOADS[name], LOAD_UNITS, sheet)
     if colon:
         require_choice("load", "shape", name, LOADS)
     return None
 
 
-def parse_motion(text: str, rate: float) -> Motion:
+def parse_motion(text: str, rate: float, sheet: DataSheet = NO_SHEET) -> Motion:
     """A motion from its recipe, or from a CSV file (`motion_file`)."""
-    recipe = motion_recipe(text)
+    recipe = motion_recipe(text, sheet)
     if recipe is not None:
         return recipe.build(rate=rate)
     path = Path(text)
     if not path.is_file():
         raise MotionError(f"motion: '{text}' is neither a file nor one of the motions {', '.join(MOTIONS)}")
-    return parse_motion_table(read_motion(path), str(path))
+    return parse_motion_table(read_motion(path), str(path), sheet)
 
 
-def parse_load(text: str, time: np.ndarray) -> np.ndarray:
+def parse_load(text: str, time: np.ndarray, sheet: DataSheet = NO_SHEET) -> np.ndarray:
     """A load from its recipe, or from a number (N)."""
-    recipe = load_recipe(text)
-    return load.constant(time, number(text, "N", "load")) if recipe is None else recipe.build(time)
+    recipe = load_recipe(text, sheet)
+    return load.constant(time, number(text, "N", "load", sheet)) if recipe is None else recipe.build(time)
 
 
 def require_choice(option: str, noun: str, choice: str, known: Iterable[str]) -> None:

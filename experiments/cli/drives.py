@@ -152,14 +152,14 @@ def tune(
 
     axis = read_axis(drive)
     require_choice("--aggregation", "aggregation", aggregation, AGGREGATIONS)
-    highest = nonnegative_number(max_load, "N", "--max-load")
+    highest = nonnegative_number(max_load, "N", "--max-load", axis.sheet)
     if gain_margin > MAX_GAIN_MARGIN:
         raise ParameterError(
             f"--gain-margin {gain_margin:g}: must be at most {MAX_GAIN_MARGIN:.0f} dB, beyond which the loop's gain "
             "is lost in rounding; 6 to 12 dB are usual"
         )
     limits = {
-        name: None if text.strip().lower() == "none" else nonnegative_number(text, "N", option)
+        name: None if text.strip().lower() == "none" else nonnegative_number(text, "N", option, axis.sheet)
         for name, option, text in (
             ("command_noise", "--noise", noise),
             ("load_error", "--load-error", load_error),
@@ -169,8 +169,8 @@ def tune(
     requirements = Requirements(
         gain_margin=gain_margin, phase_margin=phase_margin, peak_sensitivity=sensitivity, **limits
     )
-    speed_of_reversal = number(speed, "m/s", "--speed")
-    front = numbers(pareto, "N", "--pareto") if pareto else []
+    speed_of_reversal = number(speed, "m/s", "--speed", axis.sheet)
+    front = numbers(pareto, "N", "--pareto", axis.sheet) if pareto else []
     if any(limit <= 0.0 for limit in front):
         raise ParameterError(f"--pareto {pareto}: each limit must be above 0")
     with Report(f"{drive.name}: gradient tuning over loads and machines", out) as report:

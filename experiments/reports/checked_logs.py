@@ -10,6 +10,7 @@ from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log, read_logs
 from diffdrive.logs.checks.finding import SEVERITIES, Finding
 from diffdrive.logs.mapping import ColumnMapping, log_and_channel, matches_log
+from diffdrive.model.data_sheet import NO_SHEET, DataSheet
 from diffdrive.motion.text import number
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs, check_logs, require_sound, which_log, with_load
@@ -131,7 +132,7 @@ def read_sound_logs(
     return checked
 
 
-def parse_loads(texts: Sequence[str], paths: Sequence[Path]) -> dict[Path, float]:
+def parse_loads(texts: Sequence[str], paths: Sequence[Path], sheet: DataSheet = NO_SHEET) -> dict[Path, float]:
     """Loads (N) by file from `LOG=FORCE`; raises `ParameterError` for a log that is not there, or named twice."""
     loads: dict[Path, float] = {}
     for text in texts:
@@ -141,5 +142,5 @@ def parse_loads(texts: Sequence[str], paths: Sequence[Path]) -> dict[Path, float
         path = paths[which_log(name.strip(), paths, f"--load {text}")]
         if path in loads:
             raise ParameterError(f"--load {text}: {path} is given two loads")
-        loads[path] = number(force.strip(), "N", f"--load {text}")
+        loads[path] = number(force.strip(), "N", f"--load {text}", sheet)
     return loads

@@ -33,7 +33,12 @@ def check_logs(
     with Report(f"{drive.name}: a look at {', '.join(path.name for path in paths)}", out) as report:
         with report.result_first() as result:
             checked = read_and_check(
-                paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=EXTRA
+                paths,
+                description,
+                report,
+                name="findings",
+                loads=parse_loads(loads, list(paths), description.sheet),
+                used=EXTRA,
             )
             found, fatal = checked.findings, checked.fatal
             report.keep("verdict", fatal=len(fatal), findings=len(found))

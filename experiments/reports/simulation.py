@@ -64,9 +64,9 @@ def simulate_drive(
     description = read_axis(drive)
     other = description if machine is None else read_axis(machine)
     require_same_rate("--machine", other.rate, "the drive file", description.rate)
-    planned = parse_motion(motion, description.sampling.rate)
+    planned = parse_motion(motion, description.sampling.rate, description.sheet)
     require_longer_than(settle, planned.name, planned)
-    loads = parse_load(load, planned.time)
+    loads = parse_load(load, planned.time, description.sheet)
     with Report(f"{drive.name}: {planned.name}, {planned.duration:g} s", out) as report:
         with report.working("simulating"):
             run = simulate(description, planned, loads, machine=other, seed=seed)
@@ -147,7 +147,7 @@ def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:
         raise LoadEstimatorError("--speeds is empty: give one or more, such as '1;10;100 mm/s'")
     if not speeds.strip(" ;")[-1:].isalpha():  # 10;20 would be m/s, a thousand times what most will mean
         raise LoadEstimatorError(f"--speeds {speeds}: give the unit behind the last, as '10;20 mm/s'")
-    speed = np.abs(numbers(speeds.strip(" ;"), "m/s", "--speeds"))
+    speed = np.abs(numbers(speeds.strip(" ;"), "m/s", "--speeds", description.sheet))
     with Report(f"{drive.name}: convergence of eq. (20)", out) as report:
         period = description.sampling.period
         with report.working("linearising the observer at each speed"):

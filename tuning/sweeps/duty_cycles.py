@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from diffdrive.controllers import Reference
 from diffdrive.loop.run import divergence_bound
+from diffdrive.model.data_sheet import NO_SHEET, DataSheet
 from diffdrive.motion.motion import Limits, Motion
 from diffdrive.motion.text import Recipe, load_recipe, parse_load
 from tuning.sweeps import engine
@@ -62,10 +63,11 @@ class DutyCycles:
     load: str  # as `motion.text.parse_load` takes it
     rate: float  # Hz
     varied: tuple[VariedQuantity, ...]
+    sheet: DataSheet = NO_SHEET  # by which the load's units are read
 
     @cached_property
     def _load(self) -> Recipe[np.ndarray] | None:
-        return load_recipe(self.load)
+        return load_recipe(self.load, self.sheet)
 
     def values(self, name: str, shares: Float[np.ndarray, "n d"]) -> dict[str, Float[np.ndarray, " n"]]:
         """The values of the settings, with a motion of that name, at shares of the probability of each."""
@@ -84,8 +86,9 @@ class DutyCycles:
         )
         if recipe is not None and of_motion:
             motion = recipe.build(rate=self.rate, **of_motion)
-        loads = parse_load(self.load, motion.time) if self._load is None else self._load.build(motion.time, **of_load)
-        return DutyCycle(motion, loads)
+        if self._load is None:
+            return DutyCycle(motion, parse_load(self.load, motion.time, self.sheet))
+        return DutyCycle(motion, self._load.build(motion.time, **of_load))
 
 
 def at_corners(shares: Float[np.ndarray, "n d"]) -> list[int]:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
+from diffdrive.model.data_sheet import NO_SHEET, DataSheet
 from diffdrive.model.parameters import Drive, check_drive
 from diffdrive.model.quantity import Directional, node_at, with_nodes
 from diffdrive.motion.load import Ramp
@@ -25,7 +26,7 @@ def _varied_value(value: PyTree, quantity: VariedQuantity, drawn: Float[np.ndarr
 
 
 def machines(
-    drive: Drive, varied: Sequence[VariedQuantity], shares: Float[np.ndarray, "n d"]
+    drive: Drive, varied: Sequence[VariedQuantity], shares: Float[np.ndarray, "n d"], sheet: DataSheet = NO_SHEET
 ) -> tuple[Drive, Ramp, Values]:
     """A drive whose varied leaves are arrays over the machines, their loads, and the values of what varies.
 
@@ -33,7 +34,7 @@ def machines(
     drive may have.
     """
     names = {quantity.name.split(".")[1] for quantity in varied if quantity.name.startswith("effects.")}
-    machine = as_arrays(with_effects(drive, names))
+    machine = as_arrays(with_effects(drive, names, sheet))
     values: Values = {}
     ends: dict[str, float | Float[np.ndarray, " n"]] = {**dict.fromkeys(LOAD, 0.0), "load.change.end": 1.0}
     for k, quantity in enumerate(varied):

@@ -63,8 +63,10 @@ class SweepPlan:
         require_choice("method", "method", more.get("method", "sobol"), get_args(Method))
         require_choice("precision", "precision", more.get("precision", "double"), get_args(Precision))
         recipes = more.get("recipes", {})
-        known = variable_settings({name: recipes.get(name) for name in motions}, load_recipe(more.get("load", "0")))
-        varied = tuple(parse_varied(text, axis.drive, known) for text in vary)
+        known = variable_settings(
+            {name: recipes.get(name) for name in motions}, load_recipe(more.get("load", "0"), axis.sheet)
+        )
+        varied = tuple(parse_varied(text, axis.drive, known, axis.sheet) for text in vary)
         names = [quantity.name for quantity in varied]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -96,7 +98,7 @@ class SweepPlan:
     def duty_cycles(self) -> DutyCycles:
         """Motions and load over time."""
         varied = tuple(self.varied[k] for k in self._setting_indices)
-        return DutyCycles(self.motions, self.recipes, self.load, self.axis.sampling.rate, varied)
+        return DutyCycles(self.motions, self.recipes, self.load, self.axis.sampling.rate, varied, self.axis.sheet)
 
     @property
     def has_own_cycles(self) -> bool:
@@ -124,7 +126,7 @@ class SweepPlan:
     def nominal_cycle(self, motion: str) -> DutyCycle:
         """What all machines go through but for settings that vary."""
         planned = self.motions[motion]
-        return DutyCycle(planned, parse_load(self.load, planned.time))
+        return DutyCycle(planned, parse_load(self.load, planned.time, self.axis.sheet))
 
     def corner_numbers(self, part: int = 0) -> np.ndarray:
         """The machines of a part that are nearest to the ends of settings."""
@@ -171,7 +173,8 @@ class SweepPlan:
         """Machines of one part by their numbers: drives, loads, the values of what varies, the keys of their noise."""
         own = [k for k in range(len(self.varied)) if k not in self._setting_indices]
         varied = [self.varied[k] for k in own]
-        return *machines(self.axis.drive, varied, self._unit_samples(numbers)[:, own]), self.keys(numbers)
+        shares = self._unit_samples(numbers)[:, own]
+        return *machines(self.axis.drive, varied, shares, self.axis.sheet), self.keys(numbers)
 
     def values(self, numbers: np.ndarray, motion: str) -> Values:
         """The values of what varies of some machines of one part, [n] each, in the order in which it was given."""

@@ -12,6 +12,7 @@ import numpy as np
 from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import faithful_tables, parse_axis
 from diffdrive.errors import DriveFileError, ParameterError
+from diffdrive.model.data_sheet import NO_SHEET, DataSheet
 from diffdrive.motion.motion import Motion
 from diffdrive.motion.text import Recipe, motion_recipe, parse_motion
 from diffdrive.support.atomic_write import write_text
@@ -33,11 +34,11 @@ class GivenMotion(NamedTuple):
     recipe: Recipe[Motion] | None = None  # of a line of text: its settings may vary
 
     @classmethod
-    def of(cls, motion: Motion | str, rate: float) -> "GivenMotion":
+    def of(cls, motion: Motion | str, rate: float, sheet: DataSheet = NO_SHEET) -> "GivenMotion":
         """A motion from what a user gives; raises `MotionError` for a text that is none."""
         if isinstance(motion, Motion):
             return cls(motion, motion.name)
-        return cls(parse_motion(motion, rate), motion, motion_recipe(motion))
+        return cls(parse_motion(motion, rate, sheet), motion, motion_recipe(motion, sheet))
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class SweepSpec:
     ) -> "SweepSpec":  # fmt: skip
         """From motions and texts of motions; raises `MotionError` for one that cannot be."""
         several = [motions] if isinstance(motions, Motion | str) else motions
-        given = tuple(GivenMotion.of(motion, axis.rate) for motion in several)
+        given = tuple(GivenMotion.of(motion, axis.rate, axis.sheet) for motion in several)
         return cls(axis, given, dict(vary), samples, **{"most_in_a_part": most_in_a_part()} | more)
 
     def plan(self) -> SweepPlan:
@@ -123,7 +124,7 @@ def from_text(text: str) -> SweepSpec:
         **fields
         | {
             "axis": axis,
-            "motions": tuple(_motion_from_json(given, axis.rate) for given in fields["motions"]),
+            "motions": tuple(_motion_from_json(given, axis) for given in fields["motions"]),
             "machine": None if fields["machine"] is None else _axis_from_json(fields["machine"]),
             "against": {name: _axis_from_json(other) for name, other in fields["against"].items()},
         }
@@ -146,9 +147,9 @@ def _motion_to_json(given: GivenMotion) -> dict[str, str]:
     return {"given": given.given, "name": given.motion.name, **signals}
 
 
-def _motion_from_json(fields: Mapping[str, str], rate: float) -> GivenMotion:
+def _motion_from_json(fields: Mapping[str, str], axis: Axis) -> GivenMotion:
     if "name" not in fields:
-        return GivenMotion.of(fields["given"], rate)
+        return GivenMotion.of(fields["given"], axis.rate, axis.sheet)
     signals = {name: np.array(fields[name].split(), float) for name in SIGNALS}
     return GivenMotion(Motion(**signals, name=fields["name"]), fields["given"])
 

@@ -12,7 +12,9 @@ from jaxtyping import Float, PyTree
 from scipy import stats
 
 from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.effects.data_sheet import neutral
 from diffdrive.errors import ParameterError
+from diffdrive.model.data_sheet import NO_SHEET, DataSheet
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import quantities
 from diffdrive.motion.text import number, numbers
@@ -91,11 +93,11 @@ def _quantile_function(kind: str, values_given: list[float], bounds: tuple[float
     return lambda share: middle * np.exp(deviation * _normal(share))
 
 
-def with_effects(drive: Drive, names: Iterable[str]) -> Drive:
-    """The drive, and those effects that it has not yet, neutral."""
+def with_effects(drive: Drive, names: Iterable[str], sheet: DataSheet = NO_SHEET) -> Drive:
+    """The drive, and those effects that it has not yet, neutral, with what its data sheet states of them."""
     there = {effect.name for effect in drive.effects}
     wanted = [name for name in EFFECTS if name in set(names) - there]
-    return dataclasses.replace(drive, effects=(*drive.effects, *(EFFECTS[name]() for name in wanted)))
+    return dataclasses.replace(drive, effects=(*drive.effects, *(neutral(EFFECTS[name], sheet) for name in wanted)))
 
 
 class KnownQuantity(NamedTuple):
@@ -120,14 +122,14 @@ class KnownQuantity(NamedTuple):
         return float(ends[:, 0].max()), float(ends[:, 1].min())
 
 
-def known_quantities(drive: Drive) -> dict[str, KnownQuantity]:
+def known_quantities(drive: Drive, sheet: DataSheet = NO_SHEET) -> dict[str, KnownQuantity]:
     """Every quantity that may vary.
 
     A quantity per direction stands for both sides together, or for one of them with `.positive` or `.negative`. Effects
     that the drive file has not are there as well.
     """
     known = {name: KnownQuantity(unit, (0.0,)) for name, unit in LOAD.items()}
-    for name, declared, value in quantities(with_effects(drive, EFFECTS)):
+    for name, declared, value in quantities(with_effects(drive, EFFECTS, sheet)):
         sides = ("positive", "negative") if declared.directional else ()
         values = () if value is None else tuple(float(getattr(value, side)) for side in sides) or (float(value),)
         known[name] = KnownQuantity(declared.unit, values, declared.range)
@@ -137,7 +139,10 @@ def known_quantities(drive: Drive) -> dict[str, KnownQuantity]:
 
 
 def parse_varied(
-    text: str, drive: Drive, settings: Mapping[str, KnownQuantity] = MappingProxyType({})
+    text: str,
+    drive: Drive,
+    settings: Mapping[str, KnownQuantity] = MappingProxyType({}),
+    sheet: DataSheet = NO_SHEET,
 ) -> VariedQuantity:
     """A quantity and its distribution from `NAME=KIND:NUMBERS`; numbers in percent are relative to the drive file's.
 
@@ -145,7 +150,7 @@ def parse_varied(
     """
     name, equals, rest = text.partition("=")
     name, (kind, _, values) = name.strip(), (part.strip() for part in rest.partition(":"))
-    known = known_quantities(drive) | dict(settings)
+    known = known_quantities(drive, sheet) | dict(settings)
     if not equals:
         raise ParameterError(f"vary: '{text}' has no distribution; write for example '{name}=uniform:-5%..5%'")
     if name not in known:
@@ -166,7 +171,7 @@ def parse_varied(
     parts = [part.strip() for part in values.split("..")]
     if len(parts) not in NUMBERS[kind] or not all(parts):
         raise ParameterError(f"{label}: '{values}' is not what {kind} takes; write {kind}:{KINDS[kind]}")
-    mode, values_given = _mode_and_numbers(kind, parts, unit, label)
+    mode, values_given = _mode_and_numbers(kind, parts, unit, label, sheet)
     if (mode == "times" and not known[name].is_scalable) or (mode == "plus" and not known[name].values):
         raise ParameterError(f"{label}: has no value, or zero, to be relative to: give all numbers in {unit}")
     _require_sensible(kind, values_given, label)
@@ -179,7 +184,7 @@ def parse_varied(
     return VariedQuantity(name, unit, text, mode, _quantile_function(kind, values_given, (low, high)))
 
 
-def _mode_and_numbers(kind: str, parts: list[str], unit: str, label: str) -> tuple[Mode, list[float]]:
+def _mode_and_numbers(kind: str, parts: list[str], unit: str, label: str, sheet: DataSheet) -> tuple[Mode, list[float]]:
     """How the numbers of a kind meet the drive file's value, and the numbers, a single deviation with its middle."""
     places, deviation = (parts[:-1], parts[-1]) if kind in ("normal", "lognormal") else (parts, None)
     shares = [part.endswith("%") for part in places]
@@ -195,8 +200,8 @@ def _mode_and_numbers(kind: str, parts: list[str], unit: str, label: str) -> tup
         values_given = [1.0 + _fraction(part, label) for part in places] or [1.0]
         return "times", values_given if deviation is None else [*values_given, _fraction(deviation, label)]
     if kind == "lognormal":
-        return "is", [*numbers(places[0], unit, label), _fraction(parts[-1], label)]
-    values_given = numbers(";".join(parts), unit, label)
+        return "is", [*numbers(places[0], unit, label, sheet), _fraction(parts[-1], label)]
+    values_given = numbers(";".join(parts), unit, label, sheet)
     return ("is", values_given) if places else ("plus", [0.0, *values_given])
 
 

@@ -61,7 +61,7 @@ def compare_encoders(log: Log, axis: Axis | None = None) -> EncoderComparison:
 
     Args:
         log: With `motor_position` and `position`, the table's.
-        axis: States the lead, where it has a lead error; otherwise a period is looked for.
+        axis: States the lead, in its data sheet or its lead error; otherwise a period is looked for.
 
     Raises:
         ParameterError: The log has no `motor_position`, or its table hardly moves.

@@ -14,9 +14,11 @@ LEVEL = 0.05  # probability that any frequency stands out so by chance
 
 
 def stated_lead(axis: Axis | None) -> float | None:
-    """The screw's lead (m) where the axis has a lead error; None otherwise."""
+    """The screw's lead (m) where the axis's data sheet states it, or its lead error; None otherwise."""
     if axis is None:
         return None
+    if axis.sheet.lead is not None:
+        return axis.sheet.lead
     return next((float(effect.lead) for effect in axis.drive.effects if isinstance(effect, LeadError)), None)
 
 

@@ -103,7 +103,12 @@ def diagnose_logs(
 def read_diagnosis_logs(report: Report, paths: Sequence[Path], description: Axis, loads: Sequence[str]) -> CheckedLogs:
     """The logs, and what is wrong with them: where it is fatal that lowers the confidence, no more."""
     checked = read_and_check(
-        paths, description, report, name="findings", loads=parse_loads(loads, list(paths)), used=("motor_position",)
+        paths,
+        description,
+        report,
+        name="findings",
+        loads=parse_loads(loads, list(paths), description.sheet),
+        used=("motor_position",),
     )
     if checked.fatal:
         follows = "no cause is looked for" if is_void(checked) else "and is believed accordingly"

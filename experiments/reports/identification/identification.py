@@ -8,6 +8,7 @@ import numpy as np
 
 from diffdrive.controllers import UnknownController
 from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.model.data_sheet import NO_SHEET, DataSheet
 from diffdrive.motion.text import number
 from experiments.reports import readable
 from experiments.reports.axis_file import write_axis_file
@@ -62,10 +63,10 @@ def identify_drive(
     `LogError` and `ParameterError`, one line each.
     """
     axis = axis_with_overrides(drive, columns, units, shifts, [*paths, *held_out])
-    bounded = parse_bounds(bounds)
+    bounded = parse_bounds(bounds, axis.sheet)
     for name in fixed:
         parameter_called(name, FIXABLE, f"--fix {name}: no such parameter")
-    applied = parse_loads(loads, [*paths, *held_out])
+    applied = parse_loads(loads, [*paths, *held_out], axis.sheet)
     with Report(f"{drive.name}: identification from {', '.join(path.name for path in paths)}", out) as report:
         checked = partial(read_sound_logs, description=axis, report=report, force=force, loads=applied)
         logs = checked(paths, name="findings")
@@ -107,7 +108,7 @@ def report_identification(report: Report, result: IdentificationResult) -> None:
             save_identification_figures(report, result.fit, result.initial_axis.drive, result.logs.logs)
 
 
-def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+def parse_bounds(texts: Sequence[str], sheet: DataSheet = NO_SHEET) -> dict[str, tuple[float, float]]:
     """Bounds from `NAME=LOW:HIGH`, each a number in SI or with its unit; raises `ParameterError`."""
     bounded: dict[str, tuple[float, float]] = {}
     for text in texts:
@@ -119,7 +120,8 @@ def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
         if parameter.path in bounded:
             raise ParameterError(f"--bound {text}: {name} is bounded twice")
         unit = parameter.unit if parameter.unit != "periods" else "1"
-        ends = number(low.strip(), unit, f"--bound {text}"), number(high.strip(), unit, f"--bound {text}")
+        where = f"--bound {text}"
+        ends = number(low.strip(), unit, where, sheet), number(high.strip(), unit, where, sheet)
         if not ends[0] < ends[1]:
             raise ParameterError(f"--bound {text}: the lower end must be below the higher one")
         bounded[parameter.path] = ends

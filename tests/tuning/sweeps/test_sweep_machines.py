@@ -14,9 +14,10 @@ from diffdrive.effects.transmission import Backlash
 from diffdrive.errors import ParameterError
 from diffdrive.loop.costs import running_costs
 from diffdrive.loop.rollout import loop_inputs
+from diffdrive.model.data_sheet import DataSheet
 from diffdrive.model.parameters import Sampling
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
-from diffdrive.model.quantity import Directional
+from diffdrive.model.quantity import Directional, node_at
 from diffdrive.motion import load
 from diffdrive.motion.load import Ramp
 from diffdrive.numerics.arrays import as_arrays
@@ -83,3 +84,15 @@ def test_costs_under_a_ramp_are_those_under_its_load():
     by_ramp = running_costs(*models, none, counts, Sampling(), ramp=change)
     assert float(by_ramp.rms) == pytest.approx(float(running_costs(*models, applied, counts, Sampling()).rms), rel=1e-9)
     assert float(by_ramp.rms) != pytest.approx(float(running_costs(*models, none, counts, Sampling()).rms), rel=0.01)
+
+
+def test_a_neutral_effect_has_what_the_data_sheet_states():
+    sheet = DataSheet(lead=10e-3, rated_torque=5.0)
+    varied = [
+        parse_varied(text, DRIVE, sheet=sheet)
+        for text in ("effects.lead_error.sine=uniform:0..1 um", "friction.coulomb_screw=uniform:0.1..0.2 N*m")
+    ]
+    machine, _, values = machines(DRIVE, varied, HALF[:, :2], sheet)
+    assert node_at(machine, "effects.lead_error.lead") == 10e-3
+    force = 2.0 * np.pi / 10e-3  # N per N m
+    assert values["friction.coulomb_screw"] == pytest.approx(force * (0.1 + 0.1 * HALF[:, 1]))
