@@ -71,7 +71,8 @@ BAD_MAPPINGS = {
     ),
     "torque": (
         lambda: ColumnMapping(units={"command": "N*m"}),
-        r"no unit of the command without \[axis\] lead: .* such as \"0\.05 N\" \(a torque of 1 N m makes 2 pi / lead newtons",
+        r"no unit of the command without \[axis\] lead: .* such as \"0\.05 N\" "
+        r"\(a torque of 1 N m makes 2 pi / lead newtons",
     ),
     "force in m": (
         lambda: ColumnMapping(units={"position": "N"}),
