@@ -163,7 +163,7 @@ def _data_sheet(section: TomlSection) -> DataSheet:
     kind = section.take("kind", "linear")
     if kind not in AXIS_KINDS:
         raise section.fail("kind", f"must be one of {', '.join(AXIS_KINDS)}, got {short_repr(kind)}")
-    at_table = TomlSection(section.source, section.name, section.table, DataSheet(kind=cast(str, kind)))
+    at_table = TomlSection(section.source, section.name, section.table, DataSheet(kind=kind))
     name = "scale_period"
     section.take(name, None)
     period = at_table.quantity(name, DataSheet.__dataclass_fields__[name].metadata["quantity"], None)
@@ -245,7 +245,7 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
         for name in ("plant", "friction", "actuator", "sensor", "controller", "sampling", "trace", "limits")
     }
     try:
-        mapping = parse_mapping(*(cast(TomlTable, root.take(key, {})) for key in ("columns", "units", "shifts")), sheet)
+        mapping = parse_mapping(sheet, *(cast(TomlTable, root.take(key, {})) for key in ("columns", "units", "shifts")))
     except LogError as error:
         raise DriveFileError(f"{source}: {error}") from None
     effects, motor_encoder = root.take("effects", {}), root.take("motor_encoder", None)

@@ -3,9 +3,10 @@
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 from jaxtyping import PyTree
 
 from diffdrive.effects.base import Effect
@@ -46,7 +47,7 @@ def contradictions(effects: Iterable[PyTree], sheet: DataSheet) -> Iterator[Cont
     for effect in effects:
         for name, stated in stated_parameters(sheet, type(effect)).items():
             value = getattr(effect, name)
-            if isinstance(value, jax.core.Tracer) or getattr(value, "ndim", 0):
+            if isinstance(value, jax.core.Tracer) or np.ndim(value):
                 continue
             if not math.isclose(float(value), stated, rel_tol=SAME):
                 yield Contradiction(f"effects.{effect.name}.{name}", float(value), effect.from_sheet[name], stated)
@@ -60,4 +61,5 @@ def require_agreement(effects: Iterable[PyTree], sheet: DataSheet) -> None:
 
 def without_contradicted(sheet: DataSheet, effects: Iterable[PyTree]) -> DataSheet:
     """The data sheet without what effects contradict: such as a lead that a sweep varies, or a diagnosis estimates."""
-    return dataclasses.replace(sheet, **{one.key: None for one in contradictions(effects, sheet)})
+    absent: dict[str, Any] = {one.key: None for one in contradictions(effects, sheet)}
+    return dataclasses.replace(sheet, **absent)

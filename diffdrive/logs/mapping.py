@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from pathlib import Path, PurePath
-from typing import cast
+from typing import Any, cast
 
 from diffdrive.errors import LogError
 from diffdrive.logs.column_unit import FORCE_PER, Conversion, conversion
@@ -101,7 +101,7 @@ class ColumnMapping:
 
         A shift of a channel in all logs replaces those in single ones. Raises `LogError` as the mapping itself.
         """
-        gains = {key: _parse_gain(key, units[key], self.sheet) for key in FORCE_PER if key in units}
+        gains: dict[str, Any] = {key: _parse_gain(key, units[key], self.sheet) for key in FORCE_PER if key in units}
         channel_units = {key: cast(str, unit) for key, unit in units.items() if key not in FORCE_PER}
         kept = {key: samples for key, samples in self.shifts.items() if log_and_channel(key)[1] not in shifts}
         # the whole is checked, not what overrides: a unit in volts may rest on the force per volt that is there already
@@ -131,7 +131,7 @@ _EXAMPLE = {"columns": '"qm"', "units": '"mm" or "50 nm"'}
 
 
 def parse_mapping(
-    columns: dict[str, object], units: dict[str, object], shifts: dict[str, object], sheet: DataSheet
+    sheet: DataSheet, columns: dict[str, object], units: dict[str, object], shifts: dict[str, object]
 ) -> ColumnMapping:
     """From the tables of a drive file; raises `LogError` naming the key and the remedy."""
     for name, table in (("columns", columns), ("units", units), ("shifts", shifts)):

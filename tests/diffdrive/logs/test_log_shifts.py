@@ -12,6 +12,7 @@ from diffdrive.logs import read_log, read_logs, write_log
 from diffdrive.logs.checks.examine import examine
 from diffdrive.logs.clocks.shifts import shift_channels
 from diffdrive.logs.mapping import ColumnMapping, parse_mapping
+from diffdrive.model.data_sheet import DataSheet
 from experiments.reports.checked_logs import mapping_with_options
 from tests.support.sound_log import DRIVE, RATE, SOUND, delayed, replaced
 from tests.support.written_log import COLUMNS, COMMAND, NAMES, POSITION, REFERENCE, TIME, N, rows
@@ -148,8 +149,11 @@ def test_what_was_injected_moves_with_the_command_that_holds_it(tmp_path):
         ),
         (lambda: ColumnMapping(shifts={"time": -1}), r"\[shifts\] time: no channel that can be shifted"),
         (lambda: ColumnMapping(shifts={"command": 0.5}), r"\[shifts\] command: must be a whole number of samples"),
-        (lambda: parse_mapping({}, {}, {"command": "late"}), r"\[shifts\] command: must be a whole number"),
-        (lambda: parse_mapping({}, {}, 3), r"\[shifts\] must be a table"),
+        (
+            lambda: parse_mapping(DataSheet(), {}, {}, {"command": "late"}),
+            r"\[shifts\] command: must be a whole number",
+        ),
+        (lambda: parse_mapping(DataSheet(), {}, {}, 3), r"\[shifts\] must be a table"),
     ],
 )
 def test_what_is_no_shift_is_refused(build, says):
