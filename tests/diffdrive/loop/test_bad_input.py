@@ -72,14 +72,18 @@ PARAMETERS = {
     "negative gap": (
         lambda d: d.friction.breakaway_gap.positive,
         -90.0,
-        "friction.breakaway_gap in the positive direction",
+        "breakaway friction in the positive direction is .* breakaway_gap",
     ),
     "zero Stribeck velocity": (lambda d: d.friction.stribeck_velocity.negative, 0.0, "stribeck_velocity .*above 0 m/s"),
     "infinite Stribeck velocity": (lambda d: d.friction.stribeck_velocity.negative, INF, "stribeck_velocity .*finite"),
-    "no Coulomb friction": (
-        lambda d: (d.friction.coulomb_screw.negative, d.friction.load_coefficient.negative),
-        (0.0, 0.0),
-        "Coulomb friction in the negative direction is zero .* give at least a small coulomb_screw",
+    "negative gap beside no Coulomb friction": (
+        lambda d: (
+            d.friction.coulomb_screw.negative,
+            d.friction.load_coefficient.negative,
+            d.friction.breakaway_gap.negative,
+        ),
+        (0.0, 0.0, -1.0),
+        "breakaway friction in the negative direction is -1 N: it must be above 0, or 0 beside a Coulomb friction of 0",
     ),
     "zero resolution": (lambda d: d.sensor.resolution, 0.0, "sensor.resolution must be above 0 m"),
     "negative noise": (lambda d: d.sensor.noise, -1e-8, "sensor.noise must be at least 0 m"),

@@ -28,7 +28,7 @@ def drives(tmp_path_factory):
     """A drive with noise, and the same under a controller that does not know of friction."""
     folder = tmp_path_factory.mktemp("drives")
     text = PAPER_DRIVE.read_text(encoding="utf-8")
-    (folder / "axis.toml").write_text(text.replace("resolution =", "noise = 2e-8\nresolution ="))
+    (folder / "axis.toml").write_text(text.replace("\nresolution =", "\nnoise = 2e-8\nresolution =", 1))
     head = text[: text.index("[controller.observer]")].replace('kind = "pd+fc+le"', 'kind = "pd"')
     tail = text[text.index("[units]") :]
     (folder / "plain.toml").write_text(head + tail)

@@ -187,7 +187,7 @@ GAP = ("friction.coulomb_screw=uniform:20..60", "friction.breakaway_gap=uniform:
             ("load=uniform:-10..0 kN", "load.change=uniform:-10..0 kN", "load.change.end=fixed:0.04 s"),
             "lifts the table off its guides",
         ),
-        (GAP, "makes the breakaway friction"),  # each of them alone is possible
+        (GAP, "the breakaway friction in the"),  # each of them alone is possible
     ],
 )
 def test_a_machine_that_cannot_be_is_named_before_the_first_one_runs(tmp_path, vary, says):
