@@ -5,6 +5,7 @@ from .gains.pareto import ParetoFront, ParetoPoint, pareto_front
 from .gains.requirements import AsGiven, Requirements
 from .gains.result import TuningResult
 from .gains.workflow import tune
+from .identification.controller.workflow import ControllerEstimate, identify_controller
 from .identification.workflow import IdentificationResult, identify
 from .sweeps.result import SweepResult
 from .sweeps.workflow import sweep
@@ -12,6 +13,7 @@ from .sweeps.workflow import sweep
 __all__ = [
     "AsGiven",
     "Cause",
+    "ControllerEstimate",
     "DiagnosisResult",
     "IdentificationResult",
     "Objective",
@@ -22,6 +24,7 @@ __all__ = [
     "TuningResult",
     "diagnose",
     "identify",
+    "identify_controller",
     "pareto_front",
     "propose_notch",
     "register_aggregation",

@@ -1,0 +1,1 @@
+"""The unknown controller: the gains of a cascade from reference, position and command."""

@@ -1,0 +1,68 @@
+"""The cascade's law as coefficients of the signals of a log.
+
+u = K w + ki int w + m r'',   w = kp (e - kappa r') + r' - v,   kappa = (1 - ff) / kp,
+
+where v is the mean velocity over the last `window` seconds. `kappa`, the following error per speed on a long stroke, is
+what a log shows best, so it stands in the place of the feed-forward. K = kv + ki T/2 is the velocity gain and half a
+period T of the integral, which a sum over periods has beyond the integral between its rows.
+"""
+
+import enum
+from typing import NamedTuple
+
+import numpy as np
+
+Vector = np.ndarray  # of numbers, real or (for derivatives) complex
+
+SECOND = 2.5  # weight of the middle row in a second derivative through five, with its sign turned
+
+
+class Reading(enum.Enum):
+    """How the rows of a log are read: see `signals`."""
+
+    EVERY_SAMPLE = "every sample of the controller"
+    SAME_INSTANT = "snapshots, the command computed from the position beside it"
+    OWN_INSTANT = "snapshots, the command of an instant of its own"
+
+
+class Law(NamedTuple):
+    """Parameters of the law as the search moves them; `window` and `shift` are in rows, and only of snapshots.
+
+    With an instant of its own, how the command moves with the row's noise is open: it may be of another sample.
+    """
+
+    log_kp: complex
+    kappa: complex  # s
+    log_gain: complex  # of K, N s/m
+    rate: complex  # ki / K, 1/s: the inverse of the reset time
+    mass: complex  # of the acceleration feed-forward, over K, s
+    window: complex = 0.0
+    shift: complex = 0.0
+    noise: complex = 0.0  # what of the row's own noise is in the command, over K and in 1 / row
+
+
+def coefficients(law: Law, period: float, reading: Reading) -> Vector:
+    """The coefficients of the regressors of `signals`, [k]."""
+    kp, kappa, gain = np.exp(law.log_kp), law.kappa, np.exp(law.log_gain)
+    rate, mass, d = law.rate, law.mass, law.window * period
+    if reading is Reading.EVERY_SAMPLE:
+        return gain * np.array([kp, rate * kp, -kp * kappa, -rate * kp * kappa, mass, 1.0, rate])
+    # v = y' - d/2 y'' + d^2/6 y''' and its integral y - d/2 y' + d^2/6 y'', with y' = r' - e' and y'' = r'' - e''
+    half, sixth = 0.5 * d, d * d / 6.0
+    # The weight of the row's own position: what the columns give it, and what it has in the command. The second
+    # derivative through five rows gives it -5/2, the sum over the last samples 1/4 (of two, beyond half a velocity).
+    given = -kp - rate * (1.0 - SECOND * sixth / period**2) - SECOND * half / period**2
+    wanted = -kp - 1.0 / d - 0.25 * rate if reading is Reading.SAME_INSTANT else -law.noise / period
+    return gain * np.array(
+        [
+            kp + rate,
+            rate * kp,
+            -kp * kappa + rate * half,
+            -rate * kp * kappa,
+            mass + half - rate * sixth,
+            1.0 - rate * half,
+            -half + rate * sixth,
+            -sixth,
+            wanted - given,
+        ]
+    )

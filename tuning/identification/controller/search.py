@@ -1,0 +1,225 @@
+"""The law's parameters that agree best with the moments of a log: Levenberg-Marquardt from the best of a grid."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tuning.identification.controller.law import Law, Reading, coefficients
+from tuning.identification.controller.moments import Moments
+from tuning.identification.controller.signals import interpolation
+
+# What is expected before a log is seen: mean and standard deviation of each parameter. Far wider than any log leaves
+# them, so that a parameter of which the log shows nothing has an interval that says so, and no more.
+EXPECTED = np.array(
+    Law(
+        log_kp=np.log(30.0),  # K_v of 1 to 1000 1/s
+        kappa=0.0,
+        log_gain=0.0,  # where the search starts
+        rate=0.0,
+        mass=0.0,
+        window=1.0,  # one to eight samples of a loop with up to 16 to the row: uniform up to two rows
+        shift=0.0,  # the instant of the command is unknown within a row on either side
+        noise=0.0,
+    )
+)
+SPREAD = np.array(
+    Law(
+        log_kp=1.8,
+        kappa=1.0,  # s
+        log_gain=5.0,
+        rate=1000.0,  # 1/s: reset times down to a millisecond
+        mass=0.1,  # s: mass over velocity gain is the velocity loop's time constant
+        window=2.0 / np.sqrt(12.0),
+        shift=2.0 / np.sqrt(12.0),
+        noise=16.0,  # of a velocity differenced over a sixteenth of a row
+    )
+)
+PARAMETERS = {Reading.EVERY_SAMPLE: 5, Reading.SAME_INSTANT: 6, Reading.OWN_INSTANT: 8}  # of `Law`, from the first on
+GRID = np.geomspace(0.5, 1000.0, 192)  # 1/s, K_v from which searches start: neighbours 4 % apart
+CLOSER = np.linspace(-0.04, 0.04, 17)  # between neighbours
+WINDOWS = (0.125, 0.25, 0.5, 1.0, 2.0)  # rows
+STARTS = 5
+INSTANTS, HELD = 5, 1e-3  # the first parameter that is a time within rows, and how much tighter it is held at first
+STEPS = 60
+APART = 0.01  # in log K_v: two searches that end closer have ended at one minimum
+TINY = 1e-30  # step of a complex derivative, exact to the last digit
+
+LOG_KP, LOG_GAIN, RATE = (Law._fields.index(name) for name in ("log_kp", "log_gain", "rate"))
+
+
+def weights(law: Law, reading: Reading) -> np.ndarray:
+    """Weights of the commands of neighbouring rows: those of the instant at which the other signals were."""
+    return np.ones(1) if reading is Reading.EVERY_SAMPLE else interpolation(law.shift)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Least squares of a log's moments, at a noise of the command (N), and of what was expected."""
+
+    regressors: np.ndarray  # whitened, [q, k]
+    commands: np.ndarray  # whitened, [q, c]
+    noise: float
+    period: float
+    reading: Reading
+    log_gain: float = 0.0  # as expected
+
+    @staticmethod
+    def of(moments: Moments, noise: float, period: float, reading: Reading, without: int | None = None) -> "Problem":
+        """That of all blocks, or of all but one."""
+        return Problem(*moments.whitened(without), noise, period, reading)
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Standard deviations of what was expected."""
+        return SPREAD[: PARAMETERS[self.reading]]
+
+    def residuals(self, point: np.ndarray, held: float = 1.0) -> np.ndarray:
+        """Of the moments and of what was expected; `held` tightens the latter for times within rows."""
+        law = Law(*point)
+        theta = coefficients(law, self.period, self.reading)
+        equation = (self.commands @ weights(law, self.reading) - self.regressors @ theta) / self.noise
+        departures = (point - EXPECTED[: len(point)]) / self.spread
+        departures[LOG_GAIN] = (point[LOG_GAIN] - self.log_gain) / SPREAD[LOG_GAIN]
+        departures[INSTANTS:] = departures[INSTANTS:] / held
+        return np.concatenate([equation, departures])
+
+    def jacobian(self, point: np.ndarray, held: float = 1.0) -> np.ndarray:
+        """Derivative of the residuals."""
+        steps = 1j * TINY * np.eye(len(point))
+        return np.stack([self.residuals(point + step, held).imag / TINY for step in steps], axis=1)
+
+    def minimise(self, start: np.ndarray, *, held: float = 1.0, steps: int = STEPS) -> tuple[np.ndarray, float]:
+        """Levenberg-Marquardt: the best point, and its sum of squares."""
+        point, damping, value = start, 1e-3, self.residuals(start, held)
+        cost = float(value @ value)
+        for _ in range(steps):
+            jacobian = self.jacobian(point, held)
+            hessian = jacobian.T @ jacobian
+            step = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), -jacobian.T @ value)
+            step = np.clip(step, -self.spread, self.spread)
+            tried = self.residuals(point + step, held)
+            new_cost = float(tried @ tried)
+            if new_cost <= cost:
+                settled = cost - new_cost < 1e-10 * (1.0 + new_cost)
+                point, value, cost, damping = point + step, tried, new_cost, damping / 10.0
+                if settled:
+                    break
+            elif damping > 1e12:
+                break
+            else:
+                damping *= 10.0
+        return point, cost
+
+
+class Solution(NamedTuple):
+    """The best point, its sum of squares, and the problem with the gain that the search started from.
+
+    `rival` is the best other minimum with its sum of squares, where the loops of the cascade change places.
+    """
+
+    problem: Problem
+    point: np.ndarray
+    cost: float
+    rival: tuple[np.ndarray, float] | None
+
+
+def solve(problem: Problem) -> Solution | None:
+    """Search from a grid; None where no positive gain agrees with the moments."""
+    starts = _starts(problem)
+    if not starts:
+        return None
+    problem = replace(problem, log_gain=float(starts[0][LOG_GAIN]))
+    found = [_minimise_twice(problem, start) for start in starts]
+    best = min(found, key=_cost)
+    # Where the following error vanishes on long strokes, u = K (s + kp) (s + rate) / s e but for the delay of the
+    # velocity: K_v and the inverse reset time have nearly changed places in another minimum.
+    if best[0][RATE] > 0:
+        for window in _windows(problem):
+            costs, points = _given(problem, best[0][[RATE]], window)
+            found += [_minimise_twice(problem, points[0])] if np.isfinite(costs[0]) else []
+        best = min(found, key=_cost)
+    others = [one for one in found if abs(one[0][LOG_KP] - best[0][LOG_KP]) > APART]
+    return Solution(problem, *best, min(others, key=_cost, default=None))
+
+
+def _cost(found: tuple[np.ndarray, float]) -> float:
+    return found[1]
+
+
+def _minimise_twice(problem: Problem, start: np.ndarray) -> tuple[np.ndarray, float]:
+    """With the times within rows held at first: from afar they would explain what wrong gains do."""
+    held = problem.minimise(start, held=HELD)[0] if problem.reading is Reading.OWN_INSTANT else start
+    return problem.minimise(held)
+
+
+def _windows(problem: Problem) -> tuple[float, ...]:
+    return (0.0,) if problem.reading is Reading.EVERY_SAMPLE else WINDOWS
+
+
+def _starts(problem: Problem) -> list[np.ndarray]:
+    """Of the K_v and windows of a grid, with the best other parameters, the local minima with a positive gain."""
+    found: list[tuple[float, np.ndarray]] = []
+    for window in _windows(problem):
+        costs, points = _given(problem, GRID, window)
+        around = np.concatenate([[np.inf], costs, [np.inf]])
+        minima = np.isfinite(costs) & (costs <= np.minimum(around[:-2], around[2:]))
+        found += [(float(costs[k]), points[k]) for k in np.flatnonzero(minima)]
+    found = sorted(found, key=lambda one: one[0])[:STARTS]
+    return [_closer(problem, float(start[LOG_KP]), float(start[INSTANTS:].sum())) for _, start in found]
+
+
+def _closer(problem: Problem, log_kp: float, window: float) -> np.ndarray:
+    """The best between two neighbours of the grid: exact logs have valleys narrower than its steps."""
+    costs, points = _given(problem, np.exp(log_kp + CLOSER), window)
+    return points[int(np.argmin(costs))]
+
+
+def _given(problem: Problem, kps: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
+    """The misfit with each K_v and this window, and the other parameters; infinite where no gain is positive.
+
+    They are linear where each loop is let to have a kappa of its own. That of the integral is the sharper one, by
+    orders of magnitude; with little integral it is the one at which the error follows the speed.
+    """
+
+    def columns(**changed: float) -> np.ndarray:
+        laws = [Law(np.log(kp), 0.0, 0.0, 0.0, 0.0, window)._replace(**changed) for kp in kps]
+        return np.stack([problem.regressors @ coefficients(law, problem.period, problem.reading) for law in laws])
+
+    command = problem.commands @ weights(Law(0.0, 0.0, 0.0, 0.0, 0.0), problem.reading)
+    alone = columns()
+    by_kappa, by_rate, by_mass = (columns(**{name: 1.0}) - alone for name in ("kappa", "rate", "mass"))
+    both = columns(kappa=1.0, rate=1.0) - alone - by_kappa - by_rate
+    free = np.stack([alone, by_rate, by_mass, by_kappa, both], axis=2)  # [kps, q, 5]
+    misfit = command - np.einsum("bqp,bp->bq", free, found := _least(free, command))
+    positive = found[:, 0] > 0
+    costs = np.where(positive, np.sum(misfit**2, axis=1), np.inf)
+    error, speed = problem.regressors[:, 0], problem.regressors[:, 2]
+    best = np.full(len(kps), np.inf)
+    points = np.zeros((len(kps), len(Law._fields)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        kappas = (
+            found[:, 4] / found[:, 1],
+            found[:, 3] / found[:, 0],
+            np.full(len(kps), error @ speed / (speed @ speed)),
+        )
+    for kappa in kappas:
+        own = np.where(np.isfinite(kappa), kappa, 0.0)[:, None, None]
+        bound = np.concatenate([free[:, :, [0]] + own * free[:, :, [3]], free[:, :, [1]] + own * free[:, :, [4]]], 2)
+        bound = np.concatenate([bound, free[:, :, [2]]], axis=2)
+        linear = _least(bound, command)
+        left = np.sum((command - np.einsum("bqp,bp->bq", bound, linear)) ** 2, axis=1)
+        better = np.isfinite(kappa) & (linear[:, 0] > 0) & (left < best)
+        best = np.where(better, left, best)
+        gain = np.where(linear[:, 0] > 0, linear[:, 0], 1.0)
+        found_here = [np.log(kps), own[:, 0, 0], np.log(gain), linear[:, 1] / gain, linear[:, 2] / gain]
+        points[better, :5] = np.stack(found_here, axis=1)[better]
+    points[:, INSTANTS] = window
+    return np.where(np.isfinite(best), costs, np.inf), points[:, : PARAMETERS[problem.reading]]
+
+
+def _least(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Least squares of one target on each set of columns [b, q, p]: [b, p]."""
+    scale = np.linalg.norm(columns, axis=1)
+    scale = np.where(scale > 0, scale, 1.0)
+    return np.einsum("bpq,q->bp", np.linalg.pinv(columns / scale[:, None, :], rcond=1e-10), target) / scale

@@ -1,0 +1,169 @@
+"""The signals that a cascade computes its command from, as far as the rows of a log show them.
+
+Two readings of a log. In `every_sample` each row is one period of the controller: its arithmetic is reproduced, noise
+of the position included, and nothing is left but the rounding of the command. In `snapshots` the rows are picked from a
+faster loop: the velocity between them is a derivative, in which the noise of the rows counts. So each signal is taken
+twice: as regressor from the row and its neighbours, and as instrument (Söderström and Stoica) from the rows further
+out, whose noise is another.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from diffdrive.logs import Log
+
+# e, its integral, r', r, r'', and how reference and measured velocity differ: e' (and its integral) or e', e'', y'''
+Rows = Float[np.ndarray, "n k"]
+
+STENCIL = np.arange(-2, 3)  # rows of a regressor: a quartic through five is exact to the jerk's derivative
+OUTER = np.array([-8, -7, -6, -5, -4, -3, 3, 4, 5, 6, 7, 8])  # rows of an instrument: none of a regressor's
+OUTER_DEGREE = 5  # of the polynomial through them: odd, as the rows are symmetric, so that it costs no bias in slopes
+NOISE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # the row minus the cubic through its four neighbours
+NORMAL_MEDIAN = 0.6745  # of the magnitude of a standard normal number
+CALM = 16  # rows on either side
+MARGIN = 8  # rows at each end of a piece that have not all of these
+MIN_ROWS = 64  # a piece with fewer rows than four times both margins shows less than it costs: a constant of its own
+HELD_ROWS = 3  # a command that stands at its extreme for so long is clipped: noise moves an unclipped one
+
+
+class Equation(NamedTuple):
+    """command = regressors times coefficients, at each row of a piece, in deviations from the piece's mean.
+
+    `commands` are the command at neighbouring rows, from which it is interpolated to the instant of the others.
+    """
+
+    regressors: Rows
+    instruments: Rows
+    commands: Rows
+
+
+def pieces(log: Log) -> Iterator[slice]:
+    """The stretches of a log without a gap and without a clipped command, after which the integral is unknown."""
+    clipped = _clipped(log.command)
+    for piece in log.pieces():
+        edges = np.flatnonzero(np.diff(np.concatenate([[1], clipped[piece].astype(int), [1]])))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            if stop - start >= MIN_ROWS:
+                yield slice(piece.start + int(start), piece.start + int(stop))
+
+
+def _clipped(command: Float[np.ndarray, " n"]) -> np.ndarray:
+    """The rows at which the command stands at its highest or lowest value."""
+    clipped = np.zeros(len(command), bool)
+    for extreme in (np.max(command), np.min(command)):
+        at = command == extreme
+        held = np.convolve(at, np.ones(HELD_ROWS), "valid") == HELD_ROWS
+        if held.any():
+            clipped |= at
+    return clipped
+
+
+def every_sample(log: Log, piece: slice, samples: int, delay: int, *, backward: bool) -> Equation:
+    """Each row as one period: velocity over `samples` rows, the command logged `delay` rows after its own.
+
+    The reference's velocity is its backward difference, or its central one, which is the analytic one to the jerk.
+    """
+    period = 1.0 / log.rate
+    r, y = log.reference[piece], log.position[piece]  # type: ignore[index]  # asked for before
+    n = np.arange(max(samples, 1), len(r) - max(delay, 0) - 1)
+    n = n[n + delay >= 0]
+    error = r - y
+    speed = (r[n] - r[n - 1]) / period if backward else (r[n + 1] - r[n - 1]) / (2.0 * period)
+    lag = speed - (y[n] - y[n - samples]) / (samples * period)
+    columns = np.stack(
+        [
+            error[n],
+            integral(error[n], period),
+            speed,
+            integral(speed, period),
+            (r[n + 1] - 2.0 * r[n] + r[n - 1]) / period**2,
+            lag,
+            integral(lag, period),
+        ],
+        axis=1,
+    )
+    columns = _centred(columns)
+    return Equation(columns, columns, _centred(log.command[piece][n + delay][:, None]))
+
+
+def snapshots(log: Log, piece: slice, delay: int) -> Equation:
+    """Rows picked from a faster loop, the command logged `delay` rows after the row that it is of.
+
+    The last regressor is the noise of the row itself, as far as its neighbours tell it from motion, and the instrument
+    for it what the outer rows do: where the command of a row is computed from the position in that row, this noise is
+    in the command, and says over what time the velocity is differenced.
+    """
+    period = 1.0 / log.rate
+    r, y, u = (signal[piece] for signal in (log.reference, log.position, log.command))  # type: ignore[index]
+    inner = slice(MARGIN, len(r) - MARGIN)
+    summed = _smooth_integral(r - y, period)[inner]
+    near = _columns(_derivatives(r, STENCIL, 4, period), _derivatives(y, STENCIL, 4, period), summed)
+    reference = _derivatives(r, OUTER, OUTER_DEGREE, period)
+    beyond = _derivatives(y, OUTER, OUTER_DEGREE, period)
+    far = _columns(reference, beyond, summed)
+    noise = np.convolve(y - y[0], NOISE, "valid")[MARGIN - 2 : len(r) - MARGIN - 2]
+    rows = np.arange(MARGIN, len(r) - MARGIN)[:, None] + STENCIL + delay
+    return Equation(
+        _centred(np.column_stack([near, noise])),
+        _centred(np.column_stack([far, reference[3], _where_calm(y[inner] - beyond[0])])),
+        _centred(u[rows]),
+    )
+
+
+def _columns(r: list[np.ndarray], y: list[np.ndarray], summed_error: np.ndarray) -> Rows:
+    return np.stack([r[0] - y[0], summed_error, r[1], r[0], r[2], r[1] - y[1], r[2] - y[2], y[3]], axis=1)
+
+
+def _derivatives(signal: np.ndarray, rows: np.ndarray, degree: int, period: float) -> list[np.ndarray]:
+    """Value and three derivatives of the polynomial of this degree through neighbouring rows, within the margins."""
+    scale = float(np.max(np.abs(rows)))
+    fit = np.linalg.pinv(np.vander(rows / scale, degree + 1, increasing=True))
+    offset = signal[0]  # positions far from zero would cost digits
+    windows = np.lib.stride_tricks.sliding_window_view(signal - offset, 2 * MARGIN + 1)[:, rows + MARGIN]
+    factors = np.array([1.0, 1.0, 2.0, 6.0]) / (scale * period) ** np.arange(4)
+    found = windows @ (fit[:4] * factors[:, None]).T
+    found[:, 0] += offset
+    return list(found.T)
+
+
+def integral(signal: Float[np.ndarray, " n"], period: float) -> Float[np.ndarray, " n"]:
+    """The integral by trapezoids, from the first row on."""
+    return period * np.concatenate([[0.0], np.cumsum(0.5 * (signal[1:] + signal[:-1]))])
+
+
+def position_noise(log: Log, found: Sequence[slice]) -> float:
+    """Standard deviation of the noise of a position (m), by the median, which motion hardly moves."""
+    left = np.concatenate([np.convolve(log.position[piece], NOISE, "valid") for piece in found])
+    return float(np.median(np.abs(left)) / NORMAL_MEDIAN / np.linalg.norm(NOISE))
+
+
+def _where_calm(noise: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """The noise where the motion is slow enough to leave it alone, zero elsewhere.
+
+    Reversals and vibrations are in it, too, a hundred times larger. The root mean square over 33 rows of white noise
+    scatters by an eighth, so what is twice that of the calmest quarter is none.
+    """
+    local = np.sqrt(np.convolve(noise**2, np.ones(2 * CALM + 1) / (2 * CALM + 1), "same"))
+    return np.where(local <= 2.0 * np.quantile(local, 0.25), noise, 0.0)
+
+
+def _smooth_integral(signal: Float[np.ndarray, " n"], period: float) -> Float[np.ndarray, " n"]:
+    """The integral of the cubics through four rows each; by trapezoids at both ends, which are left out."""
+    steps = 0.5 * (signal[1:] + signal[:-1])
+    steps[1:-1] = np.convolve(signal, np.array([-1.0, 13.0, 13.0, -1.0]) / 24.0, "valid")
+    return period * np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _centred(columns: Rows) -> Rows:
+    return columns - columns.mean(axis=0)
+
+
+QUARTIC = np.linalg.inv(np.vander(STENCIL, increasing=True)).T
+
+
+def interpolation(shift: complex) -> np.ndarray:
+    """Weights of the rows of `STENCIL` for the value `shift` rows after the middle one: the quartic through them."""
+    return QUARTIC @ shift ** np.arange(len(STENCIL))
