@@ -6,7 +6,7 @@ motor's. With the scale alone, it shows all errors of the measured position, as 
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Integer, PyTree
 
 from diffdrive.controllers import Encoders
 from diffdrive.effects import stages
@@ -14,11 +14,13 @@ from diffdrive.model import sensor
 from diffdrive.model.parameters import Drive
 from diffdrive.numerics.arrays import Scalar, in_precision_of
 
+Count = Integer[Array, ""] | int
+
 MOTOR = 1  # folded into a sample's key: the noise of the motor encoder is independent of the scale's
 
 
 def read_encoders(
-    drive: Drive, position: Scalar, effect_states: tuple[PyTree, ...], key: Array | None = None, count: Scalar = 0
+    drive: Drive, position: Scalar, effect_states: tuple[PyTree, ...], key: Array | None = None, count: Count = 0
 ) -> Encoders:
     """The readings (m) where the table is at `position` (m), at sample `count`; `key` seeds the noise (None: none)."""
     effects = drive.effects if drive.motor_encoder is None else stages.of_scale(drive.effects)

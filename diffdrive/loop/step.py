@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, PyTree
 from diffdrive.controllers import Controller, Reference
 from diffdrive.effects import stages
 from diffdrive.effects.base import Push
-from diffdrive.loop.encoders import read_encoders
+from diffdrive.loop.encoders import Count, read_encoders
 from diffdrive.model import actuator, plant
 from diffdrive.model.friction import friction_force, lugre_coefficients
 from diffdrive.model.parameters import Drive, Sampling
@@ -50,7 +50,7 @@ class LoopState(NamedTuple):
     plant: plant.PlantState
     actuator: actuator.ActuatorState
     controller: PyTree
-    count: Scalar  # type: ignore[assignment]  # hides `tuple.count`, which a state does not need
+    count: Count  # type: ignore[assignment]  # hides `tuple.count`, which a state does not need
     effects: tuple[PyTree, ...] = ()
 
 
