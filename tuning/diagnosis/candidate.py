@@ -45,7 +45,7 @@ class Candidate(NamedTuple):
             return False
         if not self.least and self.effect is not forces.ProcessForce:
             return True
-        large = np.sqrt(sum(values[name] ** 2 for name in WAVE))
+        large = np.sqrt(sum(values[name] ** 2 for name in WAVE if name in values))
         if np.max(large) < self.least:
             return False
         if self.effect is not forces.ProcessForce:

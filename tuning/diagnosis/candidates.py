@@ -288,6 +288,7 @@ def _loop_delay(at: Setting) -> Candidate:
 
 
 def _lead_error(at: Setting) -> Candidate:
+    """Its wave is larger than what the counts' staircase passes for, as that of a signal period."""
     return Candidate(
         scale.LeadError,
         (
@@ -297,6 +298,7 @@ def _lead_error(at: Setting) -> Candidate:
             _positive("lead", 6e-3, 0.4),
         ),
         _grid(lead=1e-3 * np.array([2.0, 2.5, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0])),
+        least=STAIRS * at.count,
     )
 
 

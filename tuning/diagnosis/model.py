@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 from numpy.typing import ArrayLike
 
 from diffdrive.effects.actuator import LoopDelay
-from diffdrive.effects.base import Effect
+from diffdrive.effects.base import Effect, Envelope
 from diffdrive.effects.transmission import Transmission
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar
@@ -163,14 +163,19 @@ class Model:
         return tuple(found)
 
     def possible(self, u: Vector) -> bool:
-        """Whether a machine can have the effects as they are here; less than no delay corrects the drive file."""
-        for member, values in zip(self.members, self.values(u), strict=True):
+        """Whether a machine can have the effects as they are here; less than no delay corrects the drive file.
+
+        The simulator would refuse any other: a scale that counts backwards, say, whose steep wave fits what it likes.
+        """
+        for member, values, effect in zip(self.members, self.values(u), self.effects(u), strict=True):
             fields = {one.name: one.metadata["quantity"] for one in dataclasses.fields(member.candidate.effect)}
-            if member.candidate.effect is LoopDelay:
+            if member.candidate.effect is LoopDelay or not member.candidate.parameters:
                 continue
             if any(fields[one.name].violated_bounds(values[one.name]) for one in member.candidate.parameters):
                 return False
-            if member.candidate.parameters and not member.candidate.plausible(values, self.logged.lasts):
+            if not member.candidate.plausible(values, self.logged.lasts):
+                return False
+            if effect.problem(self.logged.drive, Envelope()) is not None:
                 return False
         return True
 

@@ -145,14 +145,28 @@ def _begun(fitter: Fitter, before: Fitted, found: Screened, rest: Vector) -> tup
     return model, there
 
 
+def _begun_again(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> list[Fitted]:
+    """The best fits that need nominal parameters moved far, begun again from the drive file's own, what was added
+    last fitted to those first; a few steps each.
+    """
+    return in_parallel(
+        lambda one: _to_nominal_first(fitter, before, one.model, one.u[before.u.size :], RACE),
+        [one for one in fits[:BESIDE] if strain(one) >= STRAINED],
+    )
+
+
 def _fit_to_nominal(fitter: Fitter, before: Fitted, found: Screened, most: int) -> Fitted:
     """The effect alone first, the drive file taken at its word; then everything.
 
     A nominal parameter that was moved far lies at the end of a long valley, along which a fit hardly moves.
     """
     model = joined(before.model, found.candidate, found.values)
-    u = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :], begin(model, found.values)]
-    alone = np.r_[np.zeros(before.u.size), np.ones(u.size - before.u.size)]
+    return _to_nominal_first(fitter, before, model, begin(model, found.values), most)
+
+
+def _to_nominal_first(fitter: Fitter, before: Fitted, model: Model, own: Vector, most: int) -> Fitted:
+    u = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :], own]
+    alone = np.r_[np.zeros(before.u.size), np.ones(own.size)]
     first = fitter.sought(model, u, None, before.track.course, 2 * ALONE, alone)[0]
     return fitter.fit(model, first.u, first.process, first.track.course, most)
 
@@ -280,6 +294,7 @@ def _race(
         lambda k: progress("fitting", k, 2 * len(promising)),
     )
     begun = _best_of_each(begun, _name)
+    begun = _best_of_each([*begun, *_begun_again(fitter, before, begun)], _name)
     gains = [before.evidence - one.evidence for one in begun]
     enough = STAYS * max(gains, default=0.0) - PROMISING
     ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > enough][:FINISH]
