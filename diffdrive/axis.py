@@ -22,6 +22,7 @@ from diffdrive.model.quantity import Directional, is_number, node_at, parameter_
 from diffdrive.model.trace import Trace
 from diffdrive.motion.motion import Limits
 from diffdrive.numerics.arrays import Scalar
+from diffdrive.support.bounds import require_a
 from diffdrive.support.messages import suggestion
 
 PARTS = ("plant", "friction", "actuator", "sensor", "motor_encoder", "effects")  # of the machine
@@ -174,7 +175,8 @@ class Axis(eqx.Module):
         )
 
     def with_controller(self, controller: Controller) -> "Axis":
-        """The axis under another controller."""
+        """The axis under another controller. Raises `ParameterError` for what is none."""
+        require_a(Controller, "controller", controller, "make one with diffdrive.controllers")
         return replace(self, controller=controller)
 
     def with_effects(self, *effects: Effect) -> "Axis":
@@ -218,6 +220,11 @@ class Axis(eqx.Module):
         return "\n".join(
             [repr(self), *(f"  {path:<{width}}  {_formatted(value)} {unit}" for path, unit, value in rows)]
         )
+
+
+def require_axis(axis: object, name: str = "axis") -> None:
+    """Raise `ParameterError` for what is no axis, such as the path of a drive file."""
+    require_a(Axis, name, axis, "read a drive file with read_axis")
 
 
 def _is_concrete(value: PyTree) -> bool:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from diffdrive.axis import Axis
+from diffdrive.axis import Axis, require_axis
 from diffdrive.controllers.base import require_rate
 from diffdrive.errors import ParameterError
 from diffdrive.loop import linearise as loop
@@ -117,6 +117,7 @@ def linearise(axis: Axis, *, velocity: Scalar, load: Scalar = 0.0, machine: Axis
 
     """
     require_double_precision()
+    require_axis(axis)
     for name, value, unit, least in (("velocity", velocity, "m/s", -np.inf), ("load", load, "N", 0.0)):
         if np.ndim(value):
             raise ParameterError(f"{name}: must be one number; take `jax.vmap` for several")

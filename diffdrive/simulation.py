@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from diffdrive.axis import Axis
+from diffdrive.axis import Axis, require_axis
 from diffdrive.errors import LoadEstimatorWarning
 from diffdrive.loop.metrics import rms
 from diffdrive.loop.rollout import compiled_rollout, loop_inputs
@@ -17,7 +17,7 @@ from diffdrive.loop.run import Run
 from diffdrive.loop.signals import Signals
 from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.trace import check_trace
-from diffdrive.motion.motion import Motion
+from diffdrive.motion.motion import Motion, require_motion
 from diffdrive.numerics.arrays import Scalar, as_arrays
 from diffdrive.support.rates import require_same_rate
 
@@ -59,6 +59,7 @@ def simulate(
 
     """
     drive = checked_machine(axis, machine).drive
+    require_motion(motion)
     check_trace(axis.trace, axis.rate, has_motor_encoder=drive.motor_encoder is not None)
     run = simulate_loop(
         drive, axis.controller, motion, load, sampling=axis.sampling, limits=axis.limits, seed=seed, every=every
@@ -125,6 +126,7 @@ def rollout(
 
     """
     drive = checked_machine(axis, machine).drive
+    require_motion(motion)
     require_same_rate(f"motion '{motion.name}'", motion.rate, "the axis", axis.rate)
     inputs = loop_inputs(motion, jnp.broadcast_to(jnp.asarray(load, jnp.float64), motion.time.shape))
     key = None if seed is None else jax.random.key(seed)
@@ -148,8 +150,12 @@ def rollout(
 
 
 def checked_machine(axis: Axis, machine: Axis | None) -> Axis:
-    """The axis whose drive moves: `machine`, or the axis itself; raises `ParameterError` for another rate."""
+    """The axis whose drive moves: `machine`, or the axis itself; raises `ParameterError` for what is no axis, and for
+    another rate.
+    """
+    require_axis(axis)
     if machine is None:
         return axis
+    require_axis(machine, "machine")
     require_same_rate("machine", machine.rate, "the axis", axis.rate)
     return machine

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive.axis import Axis
+from diffdrive.axis import Axis, require_axis
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log, read_logs
 from diffdrive.logs.checks.examine import Finding, examine, examine_together
@@ -40,6 +40,7 @@ def checked(axis: Axis, *groups: object, loads: Mapping[str, float] | None = Non
     `CheckedLogs` are left as they are, None is no logs. `loads` (N), by keys as `which_log` takes them, are what was on
     the table where a log does not say it. Raises `LogError`, and `ParameterError` for a load of no log or of several.
     """
+    require_axis(axis)
     read = [[] if group is None or isinstance(group, CheckedLogs) else _read(axis, group) for group in groups]
     paths = [path for group in read for path, _ in group]
     load_of: dict[int, float] = {}

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive.errors import MotionError
+from diffdrive.support.bounds import require_a
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,11 @@ class Limits:
         for name in ("speed", "acceleration"):
             if not getattr(self, name) > 0:
                 raise MotionError(f"limits: {name} must be positive, got {getattr(self, name)!r}")
+
+
+def require_motion(motion: object) -> None:
+    """Raise `ParameterError` for what is no motion, such as a line of text."""
+    require_a(Motion, "motion", motion, "make one with diffdrive.motion")
 
 
 def require_within(motion: Motion, limits: Limits) -> Motion:

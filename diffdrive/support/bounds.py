@@ -36,6 +36,14 @@ def require_number(
         raise ParameterError(f"{text}, got {short_repr(value)}{hint and f'; {hint}'}")
 
 
+def require_a(kind: type, name: str, value: object, hint: str = "") -> None:
+    """Raise `ParameterError` unless `value` is of this kind: else its first missing attribute would be the message."""
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIO" else "a"
+        text = f"{name}: must be {article} {kind.__name__}, got {short_repr(value)}"
+        raise ParameterError(text + (hint and f"; {hint}"))
+
+
 def require_count(name: str, value: object, at_least: int = 1, at_most: int | None = None) -> None:
     """Raise `ParameterError` unless `value` is a whole number within these bounds."""
     try:

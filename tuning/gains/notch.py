@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from diffdrive.axis import Axis
+from diffdrive.axis import Axis, require_axis
 from diffdrive.controllers import Notch
 from diffdrive.errors import ParameterError
 from diffdrive.linearisation import linearise
@@ -76,6 +76,7 @@ def propose_notch(axis: Axis, *, velocity: Scalar = 0.010, load: Scalar = 0.0, m
         >>> best.gains["filter1_frequency"]
 
     """
+    require_axis(axis)
     highest = 0.499 * axis.rate
     count = int(POINTS_PER_DECADE * np.log10(highest / LOWEST_FREQUENCY))
     frequency = np.geomspace(LOWEST_FREQUENCY, highest, count)

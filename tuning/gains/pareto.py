@@ -8,7 +8,7 @@ import numpy as np
 
 from diffdrive.errors import ParameterError
 from diffdrive.results import Result, Status
-from diffdrive.support.bounds import require_number
+from diffdrive.support.bounds import require_a, require_number
 from tuning.gains.plan import run_scenario
 from tuning.gains.requirements import Constraints
 from tuning.gains.result import TuningResult
@@ -87,6 +87,7 @@ def pareto_front(
         >>> [(point.command_noise, point.rms) for point in front.points]
 
     """
+    require_a(TuningResult, "result", result, "take what tune returns")
     if not len(noise_limits):
         raise ParameterError("noise_limits: give one at least")
     for limit in noise_limits:

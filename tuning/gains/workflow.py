@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from diffdrive.axis import Axis
-from diffdrive.motion.motion import Motion
+from diffdrive.axis import Axis, require_axis
+from diffdrive.motion.motion import Motion, require_motion
 from tuning.gains.objective import Objective
 from tuning.gains.plan import SETTLE, TuningPlan, spread_of
 from tuning.gains.requirements import Requirements
@@ -71,6 +71,9 @@ def tune(
         >>> best.axis.write("tuned.toml")
 
     """
+    require_axis(axis)
+    if motion is not None:
+        require_motion(motion)
     if settle is None:
         settle = SETTLE if motion is None else min(SETTLE, motion.duration / 3.0)
     plan = TuningPlan(

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from diffdrive.axis import Axis
+from diffdrive.axis import Axis, require_axis
 from diffdrive.errors import ParameterError
 from diffdrive.results import Result, Status
 from tuning.checked_logs import CheckedLogs, checked, require_sound
@@ -176,6 +176,7 @@ def identify(
 
     """
     require_search(starts, seed)  # before the logs are looked over, which takes a while
+    require_axis(axis)
     _require_no_effects(axis)
     used, others = checked(axis, logs, held_out, loads=loads)
     if not force:

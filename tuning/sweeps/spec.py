@@ -16,6 +16,7 @@ from diffdrive.model.data_sheet import NO_SHEET, DataSheet
 from diffdrive.motion.motion import Motion
 from diffdrive.motion.text import Recipe, motion_recipe, parse_motion
 from diffdrive.support.atomic_write import write_text
+from diffdrive.support.bounds import require_a
 from diffdrive.support.rates import require_same_rate
 from tuning.sweeps.engine import LEAST_IN_A_PART, Precision, most_in_a_part
 from tuning.sweeps.identified import Correlation
@@ -38,6 +39,7 @@ class GivenMotion(NamedTuple):
         """A motion from what a user gives; raises `MotionError` for a text that is none."""
         if isinstance(motion, Motion):
             return cls(motion, motion.name)
+        require_a(str, "motion", motion, "give a Motion, a line of text or a file")
         return cls(parse_motion(motion, rate, sheet), motion, motion_recipe(motion, sheet))
 
 
@@ -65,7 +67,7 @@ class SweepSpec:
         **more: Any,
     ) -> "SweepSpec":  # fmt: skip
         """From motions and texts of motions; raises `MotionError` for one that cannot be."""
-        several = [motions] if isinstance(motions, Motion | str) else motions
+        several = motions if isinstance(motions, list | tuple) else [motions]
         given = tuple(GivenMotion.of(motion, axis.rate, axis.sheet) for motion in several)
         return cls(axis, given, dict(vary), samples, **{"most_in_a_part": most_in_a_part()} | more)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffdrive.axis import Axis
+from diffdrive.axis import Axis, require_axis
 from diffdrive.errors import ParameterError
 from diffdrive.motion.motion import Motion
 from diffdrive.motion.text import require_choice
@@ -103,6 +103,11 @@ def sweep(
         >>> swept.exceedance(axis.name).interval
 
     """
+    require_axis(axis)
+    for name, other in (against or {}).items():
+        require_axis(other, f"against {name}")
+    if machine is not None:
+        require_axis(machine, "machine")
     require_choice("by", "error", by, ERRORS)
     if tolerance is not None and not tolerance > 0.0:
         raise ParameterError(f"tolerance: must be above zero, in m, got {tolerance!r}")

@@ -25,6 +25,7 @@ from diffdrive.logs.encoders.passes import Passes, find_passes, pushed
 from diffdrive.logs.encoders.regression import LEVEL, Estimate, Regression, interval, regress
 from diffdrive.logs.encoders.result import ComparedSamples, EncoderComparison, Place, Reversal
 from diffdrive.logs.log import Log
+from diffdrive.support.bounds import require_a
 
 PLACES = 10  # stretches of the stroke whose reversal error is reported
 FEWEST = 50  # samples that slide
@@ -71,6 +72,7 @@ def compare_encoders(log: Log, axis: Axis | None = None) -> EncoderComparison:
         reversal error 12.3 (12.1 to 12.5) um, backlash 9.8 (8 to 11.4) um of it
 
     """
+    require_a(Log, "log", log, "read one with read_log")
     if log.motor_position is None:
         raise ParameterError(f"{log.name}: no motor_position: there is no second encoder to compare with")
     period = sampling_period(log)

@@ -251,6 +251,7 @@ def test_a_search_that_runs_out_of_steps_says_so():
     assert tuned(options=SearchOptions(max_steps=2)).status == "stopped after 2 steps"
 
 
+@pytest.mark.long
 def test_a_start_that_diverges_is_reported_and_not_searched():
     gains, problem, space = small_problem()
     found = search(gains, problem, SearchState(tuple(30.0 for _ in space.free)))

@@ -190,7 +190,7 @@ def test_white_innovations_and_no_missing_force_are_no_structure(seed):
 
 def test_the_p_value_of_white_innovations_is_uniform():
     rng = np.random.default_rng(6)
-    values = [judged(rng.normal(size=(1, 4_000))).p_value for _ in range(200)]
+    values = [judged(rng.normal(size=(1, 2_000))).p_value for _ in range(100)]
     assert scipy.stats.kstest(values, "uniform").pvalue > 0.01
 
 
