@@ -41,8 +41,9 @@ def _from_frame(source: object, name: str) -> Table:
     except DuplicateError:
         raise LogError(f"{name}: several columns have one name; give each a name of its own") from None
     except TypeError:
+        mend = "; take its .log()" if hasattr(source, "log") else ""
         raise LogError(
-            f"{name}: a log is a path, a data frame or a dict of arrays by column, got {type(source).__name__}"
+            f"{name}: a log is a path, a data frame or a dict of arrays by column, got {type(source).__name__}{mend}"
         ) from None
     if isinstance(frame, nw.LazyFrame):
         frame = frame.collect()

@@ -148,3 +148,28 @@ def test_a_process_force_swings_while_it_is_on(frequency, end, beside, swings):
     values |= {"frequency": np.full(2, frequency), "start": np.array([0.2, 0.2]), "end": np.array([0.3, end])}
     values["cosine"] = np.array([3.0, beside])
     assert model.possible(np.r_[np.zeros(len(NAMES)), begin(model, values)]) == swings
+
+
+@pytest.mark.parametrize(("slope", "possible"), [(0.5, True), (0.9, True), (1.1, False), (3.0, False)])
+def test_a_scale_that_counts_backwards_is_none(slope, possible):
+    """Its reading falls where the wave is steeper than 1; along a course of its own such a wave fits what it likes."""
+    logs = logged_of(DRIVE.drive, [SOUND])
+    wave = next(
+        one
+        for one in candidates(setting(logs.drive, logs.lanes, logs.sampling.period))
+        if one.name == "interpolation_error"
+    )
+    model, period = joined(Model(logs), wave), 2e-5
+    values = {one.name: np.array([one.middle]) for one in wave.parameters}
+    values |= {"period": np.array([period]), "cosine": np.array([slope * period / (2.0 * np.pi)])}
+    assert model.possible(np.r_[np.zeros(len(NAMES)), begin(model, values)]) is possible
+
+
+@pytest.mark.parametrize("amplitude", [0.2, 0.8])
+def test_a_lead_error_is_larger_than_the_staircase_of_the_counts(amplitude):
+    log = logged_of(DRIVE.drive, [SOUND])
+    at = setting(log.drive, log.lanes, log.sampling.period)
+    lead = next(one for one in candidates(at) if one.name == "lead_error")
+    values = {"lead": 5e-3, "cosine": amplitude * at.count, "sine": 0.0, "linear": 0.0}
+    told = lead.plausible({name: np.array([one]) for name, one in values.items()}, np.ones(1))
+    assert told == (amplitude > 0.4)
