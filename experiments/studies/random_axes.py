@@ -124,8 +124,9 @@ def random_motion(
     seconds: float, period: float, fastest: float, stroke: float, jerks: tuple[float, float], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position and speed of strokes to and fro within a stroke: most fast, some slow, some rests, of limited jerk."""
-    count, at, speed = round(seconds / period), 0.0, []
-    while sum(map(len, speed)) < count:
+    count, at = round(seconds / period), 0.0
+    speed: list[np.ndarray] = []
+    while sum(one.size for one in speed) < count:
         slow = rng.random() < 0.4
         wanted = fastest * (rng.uniform(0.002, 0.05) if slow else rng.uniform(0.3, 1.0))
         way = -1.0 if at > 0.0 else 1.0

@@ -67,7 +67,7 @@ class SweepSpec:
         **more: Any,
     ) -> "SweepSpec":  # fmt: skip
         """From motions and texts of motions; raises `MotionError` for one that cannot be."""
-        several = motions if isinstance(motions, list | tuple) else [motions]
+        several = motions if isinstance(motions, Sequence) and not isinstance(motions, str) else [motions]
         given = tuple(GivenMotion.of(motion, axis.rate, axis.sheet) for motion in several)
         return cls(axis, given, dict(vary), samples, **{"most_in_a_part": most_in_a_part()} | more)
 
