@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+Number = complex | np.ndarray
 Vector = np.ndarray  # of numbers, real or (for derivatives) complex
 
 SECOND = 2.5  # weight of the middle row in a second derivative through five, with its sign turned
@@ -31,38 +32,40 @@ class Law(NamedTuple):
     With an instant of its own, how the command moves with the row's noise is open: it may be of another sample.
     """
 
-    log_kp: complex
-    kappa: complex  # s
-    log_gain: complex  # of K, N s/m
-    rate: complex  # ki / K, 1/s: the inverse of the reset time
-    mass: complex  # of the acceleration feed-forward, over K, s
-    window: complex = 0.0
-    shift: complex = 0.0
-    noise: complex = 0.0  # what of the row's own noise is in the command, over K and in 1 / row
+    log_kp: Number
+    kappa: Number  # s
+    log_gain: Number  # of K, N s/m
+    rate: Number  # ki / K, 1/s: the inverse of the reset time
+    mass: Number  # of the acceleration feed-forward, over K, s
+    window: Number = 0.0
+    shift: Number = 0.0
+    noise: Number = 0.0  # what of the row's own noise is in the command, over K and in 1 / row
 
 
 def coefficients(law: Law, period: float, reading: Reading) -> Vector:
-    """The coefficients of the regressors of `signals`, [k]."""
+    """The coefficients of the regressors of `signals`, [k]; of parameters that are arrays [m], [k, m]."""
     kp, kappa, gain = np.exp(law.log_kp), law.kappa, np.exp(law.log_gain)
     rate, mass, d = law.rate, law.mass, law.window * period
     if reading is Reading.EVERY_SAMPLE:
-        return gain * np.array([kp, rate * kp, -kp * kappa, -rate * kp * kappa, mass, 1.0, rate])
+        return gain * _rows(kp, rate * kp, -kp * kappa, -rate * kp * kappa, mass, 1.0, rate)
     # v = y' - d/2 y'' + d^2/6 y''' and its integral y - d/2 y' + d^2/6 y'', with y' = r' - e' and y'' = r'' - e''
     half, sixth = 0.5 * d, d * d / 6.0
     # The weight of the row's own position: what the columns give it, and what it has in the command. The second
     # derivative through five rows gives it -5/2, the sum over the last samples 1/4 (of two, beyond half a velocity).
     given = -kp - rate * (1.0 - SECOND * sixth / period**2) - SECOND * half / period**2
     wanted = -kp - 1.0 / d - 0.25 * rate if reading is Reading.SAME_INSTANT else -law.noise / period
-    return gain * np.array(
-        [
-            kp + rate,
-            rate * kp,
-            -kp * kappa + rate * half,
-            -rate * kp * kappa,
-            mass + half - rate * sixth,
-            1.0 - rate * half,
-            -half + rate * sixth,
-            -sixth,
-            wanted - given,
-        ]
+    return gain * _rows(
+        kp + rate,
+        rate * kp,
+        -kp * kappa + rate * half,
+        -rate * kp * kappa,
+        mass + half - rate * sixth,
+        1.0 - rate * half,
+        -half + rate * sixth,
+        -sixth,
+        wanted - given,
     )
+
+
+def _rows(*rows: Number) -> Vector:
+    return np.stack(np.broadcast_arrays(*rows))

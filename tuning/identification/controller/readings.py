@@ -17,7 +17,6 @@ SAMPLES = range(1, 9)  # over which a velocity is differenced
 DELAYS = range(-1, 4)  # rows from computing a command to logging it
 SNAPSHOT_DELAYS = (-1, 0, 1)
 CONVINCED = 15.1  # of chi squared with one degree of freedom: a chance of 1e-4 that noise alone shows so much
-CONSISTENT = 18.4  # with two, as many as the constraints of the same instant
 TRIED_ROWS = 8_000  # of a log, from which it is told how to read it: noise of so many rows is known to a hundredth
 
 
@@ -114,7 +113,7 @@ def _snapshots(log: Log, part: list[slice]) -> _Choice | None:
         if delay == 0:
             own.append(_Choice(Reading.OWN_INSTANT, equation, free))
         tied = search_law(equations, 1.0 / log.rate, Reading.SAME_INSTANT) if _moves_with_noise(free) else None
-        if tied is not None and tied.cost < free.cost + CONSISTENT * free.birge:
+        if tied is not None:
             same.append(_Choice(Reading.SAME_INSTANT, equation, tied))
     return min(same or own, key=lambda one: one.candidate.cost, default=None)
 

@@ -42,6 +42,7 @@ WINDOWS = (0.125, 0.25, 0.5, 1.0, 2.0)  # rows
 STARTS = 5
 INSTANTS, HELD = 5, 1e-3  # the first parameter that is a time within rows, and how much tighter it is held at first
 STEPS = 60
+ROUGH = 15  # steps that tell a valley from another
 APART = 0.01  # in log K_v: two searches that end closer have ended at one minimum
 TINY = 1e-30  # step of a complex derivative, exact to the last digit
 
@@ -50,7 +51,7 @@ LOG_KP, LOG_GAIN, RATE = (Law._fields.index(name) for name in ("log_kp", "log_ga
 
 def weights(law: Law, reading: Reading) -> np.ndarray:
     """Weights of the commands of neighbouring rows: those of the instant at which the other signals were."""
-    return np.ones(1) if reading is Reading.EVERY_SAMPLE else interpolation(law.shift)
+    return np.ones((1, *np.shape(law.log_kp))) if reading is Reading.EVERY_SAMPLE else interpolation(law.shift)
 
 
 @dataclass(frozen=True)
@@ -76,18 +77,22 @@ class Problem:
 
     def residuals(self, point: np.ndarray, held: float = 1.0) -> np.ndarray:
         """Of the moments and of what was expected; `held` tightens the latter for times within rows."""
-        law = Law(*point)
-        theta = coefficients(law, self.period, self.reading)
-        equation = (self.commands @ weights(law, self.reading) - self.regressors @ theta) / self.noise
-        departures = (point - EXPECTED[: len(point)]) / self.spread
-        departures[LOG_GAIN] = (point[LOG_GAIN] - self.log_gain) / SPREAD[LOG_GAIN]
-        departures[INSTANTS:] = departures[INSTANTS:] / held
-        return np.concatenate([equation, departures])
+        return self._of_points(point[:, None], held)[:, 0]
 
     def jacobian(self, point: np.ndarray, held: float = 1.0) -> np.ndarray:
         """Derivative of the residuals."""
-        steps = 1j * TINY * np.eye(len(point))
-        return np.stack([self.residuals(point + step, held).imag / TINY for step in steps], axis=1)
+        return self._of_points(point[:, None] + 1j * TINY * np.eye(len(point)), held).imag / TINY
+
+    def _of_points(self, points: np.ndarray, held: float) -> np.ndarray:
+        """The residuals at points [p, m] side by side, [q + p, m]."""
+        law = Law(*points, *np.zeros((len(Law._fields) - len(points), points.shape[1])))
+        theta = coefficients(law, self.period, self.reading)
+        equation = (self.commands @ weights(law, self.reading) - self.regressors @ theta) / self.noise
+        expected = EXPECTED[: len(points)].copy()
+        expected[LOG_GAIN] = self.log_gain
+        departures = (points - expected[:, None]) / self.spread[:, None]
+        departures[INSTANTS:] /= held
+        return np.concatenate([equation, departures])
 
     def minimise(self, start: np.ndarray, *, held: float = 1.0, steps: int = STEPS) -> tuple[np.ndarray, float]:
         """Levenberg-Marquardt: the best point, and its sum of squares."""
@@ -130,7 +135,7 @@ def solve(problem: Problem) -> Solution | None:
     if not starts:
         return None
     problem = replace(problem, log_gain=float(starts[0][LOG_GAIN]))
-    found = [_minimise_twice(problem, start) for start in starts]
+    found = _finished(problem, [_minimise_twice(problem, start) for start in starts])
     best = min(found, key=_cost)
     # Where the following error vanishes on long strokes, u = K (s + kp) (s + rate) / s e but for the delay of the
     # velocity: K_v and the inverse reset time have nearly changed places in another minimum.
@@ -138,6 +143,7 @@ def solve(problem: Problem) -> Solution | None:
         for window in _windows(problem):
             costs, points = _given(problem, best[0][[RATE]], window)
             found += [_minimise_twice(problem, points[0])] if np.isfinite(costs[0]) else []
+        found = _finished(problem, found)
         best = min(found, key=_cost)
     others = [one for one in found if abs(one[0][LOG_KP] - best[0][LOG_KP]) > APART]
     return Solution(problem, *best, min(others, key=_cost, default=None))
@@ -149,8 +155,15 @@ def _cost(found: tuple[np.ndarray, float]) -> float:
 
 def _minimise_twice(problem: Problem, start: np.ndarray) -> tuple[np.ndarray, float]:
     """With the times within rows held at first: from afar they would explain what wrong gains do."""
-    held = problem.minimise(start, held=HELD)[0] if problem.reading is Reading.OWN_INSTANT else start
-    return problem.minimise(held)
+    held = problem.minimise(start, held=HELD, steps=ROUGH)[0] if problem.reading is Reading.OWN_INSTANT else start
+    return problem.minimise(held, steps=ROUGH)
+
+
+def _finished(problem: Problem, rough: list[tuple[np.ndarray, float]]) -> list[tuple[np.ndarray, float]]:
+    """The best of each of the two lowest valleys, to the end; what is far above them needs no more digits."""
+    ranked = sorted(rough, key=_cost)
+    others = [one for one in ranked if abs(one[0][LOG_KP] - ranked[0][0][LOG_KP]) > APART]
+    return [problem.minimise(point) for point, _ in [ranked[0], *others[:1]]]
 
 
 def _windows(problem: Problem) -> tuple[float, ...]:
@@ -183,8 +196,8 @@ def _given(problem: Problem, kps: np.ndarray, window: float) -> tuple[np.ndarray
     """
 
     def columns(**changed: float) -> np.ndarray:
-        laws = [Law(np.log(kp), 0.0, 0.0, 0.0, 0.0, window)._replace(**changed) for kp in kps]
-        return np.stack([problem.regressors @ coefficients(law, problem.period, problem.reading) for law in laws])
+        law = Law(np.log(kps), 0.0, 0.0, 0.0, 0.0, window)._replace(**changed)
+        return (problem.regressors @ coefficients(law, problem.period, problem.reading)).T
 
     command = problem.commands @ weights(Law(0.0, 0.0, 0.0, 0.0, 0.0), problem.reading)
     alone = columns()

@@ -164,6 +164,9 @@ def _centred(columns: Rows) -> Rows:
 QUARTIC = np.linalg.inv(np.vander(STENCIL, increasing=True)).T
 
 
-def interpolation(shift: complex) -> np.ndarray:
-    """Weights of the rows of `STENCIL` for the value `shift` rows after the middle one: the quartic through them."""
-    return QUARTIC @ shift ** np.arange(len(STENCIL))
+def interpolation(shift: complex | np.ndarray) -> np.ndarray:
+    """Weights of the rows of `STENCIL` for the value `shift` rows after the middle one: the quartic through them.
+
+    [5]; of shifts [m], [5, m].
+    """
+    return QUARTIC @ np.power.outer(shift, np.arange(len(STENCIL))).T
