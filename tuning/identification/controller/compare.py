@@ -1,6 +1,6 @@
 """Whether two controllers are one: a sentence for each gain that differs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +41,25 @@ _SHOWN = (
     _Shown("the acceleration feed-forward", " kg", lambda mass: mass),
     _Shown("the following error per speed", " ms", lambda time: 1e3 * time),
 )
+
+
+class Named(NamedTuple):
+    """The controller of a log, or of a drive file, by its name."""
+
+    name: str
+    parts: Parts
+
+
+def differences_of(pairs: Sequence[tuple[Named, Named]]) -> tuple[Difference, ...]:
+    """The gains in which the controllers of each pair differ.
+
+    All pairs together show one by chance in a share `FALSE_ALARM`, or fewer (Bonferroni).
+    """
+    return tuple(
+        difference
+        for one, other in pairs
+        for difference in differences(one.parts, other.parts, (one.name, other.name), FALSE_ALARM / len(pairs))
+    )
 
 
 def differences(

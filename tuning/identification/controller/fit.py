@@ -9,7 +9,7 @@ from jaxtyping import Float
 from tuning.identification.controller.law import Law, Reading, coefficients
 from tuning.identification.controller.moments import Moments, moments
 from tuning.identification.controller.search import Problem, Solution, solve, weights
-from tuning.identification.controller.signals import Equation
+from tuning.identification.controller.signals import Condition, Equation
 
 DELETED_STEPS = 6  # from the solution with all blocks, which is near
 
@@ -18,16 +18,17 @@ DELETED_STEPS = 6  # from the solution with all blocks, which is near
 class LawFit:
     """The parameters [p] of `Law` and their covariance [p, p], with its degrees of freedom.
 
-    `residual` is the root mean square of what is left of the command (N), `command` that of the command.
+    `unexplained` is the share of the command that is left, where the rows are snapshots of its slow part; `window` is
+    the time over which the velocity is differenced (s).
     """
 
     parameters: Float[np.ndarray, " p"]
     covariance: Float[np.ndarray, "p p"]
     freedom: int
-    residual: float
-    command: float
+    unexplained: float
     period: float
     reading: Reading
+    window: float
 
     @property
     def law(self) -> Law:
@@ -37,12 +38,15 @@ class LawFit:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A reading of a log, searched: what readings are chosen by. Its covariance costs a search for each block."""
+    """A reading of a log, searched. Its covariance costs a search for each block.
+
+    `residual` is the root mean square of what is left of the command (N), by which readings are chosen.
+    """
 
     sums: Moments
     solution: Solution
     residual: float
-    command: float
+    unexplained: float
 
     @property
     def cost(self) -> float:
@@ -59,20 +63,27 @@ class Candidate:
 def search_law(equations: Sequence[Equation], period: float, reading: Reading) -> Candidate | None:
     """Search the law of the pieces of a log; None where no positive gain agrees with them."""
     sums = moments(equations)
-    solution = solve(Problem(*sums.whitened(), free_noise(equations), period, reading))
+    solution = solve(Problem(*sums.whitened(), period, reading))
     if solution is None:
         return None
     law = Law(*solution.point)
     theta, mix = coefficients(law, period, reading), weights(law, reading)
-    left = np.concatenate([u @ mix - x @ theta for x, _, u in equations])
-    return Candidate(sums, solution, _rms(left), _rms(_commands(equations)))
+    left = _left(equations, mix, theta)
+    slow = [equation.conditions[0] for equation in equations]
+    share = _left(slow, mix, theta) / _rms(np.concatenate([one.commands @ mix for one in slow]))
+    return Candidate(sums, solution, left, share)
 
 
-def with_covariance(candidate: Candidate) -> LawFit:
+def _left(several: Sequence[Equation] | Sequence[Condition], mix: np.ndarray, theta: np.ndarray) -> float:
+    return _rms(np.concatenate([one.commands @ mix - one.regressors @ theta for one in several]))
+
+
+def with_covariance(candidate: Candidate, samples: int | None = None) -> LawFit:
     """The fit, with the covariance of leaving out one block of rows after the other.
 
     That is the jackknife of Tukey, conservative where few events carry the information. To it come what was expected,
     a misfit of the moments beyond their noise (the factor of Birge), and another minimum that is about as good.
+    `samples` are those over which the velocity is differenced, where each row is one.
     """
     sums, (problem, point, cost, rival) = candidate.sums, candidate.solution
     deleted = []
@@ -89,23 +100,16 @@ def with_covariance(candidate: Candidate) -> LawFit:
     if rival is not None:
         share = 1.0 / (1.0 + np.exp(min(0.5 * (rival[1] - cost) / birge, 500.0)))
         covariance = covariance + share * (1.0 - share) * np.outer(rival[0] - point, rival[0] - point)
+    rows = samples if samples is not None else float(Law(*point).window.real)
     return LawFit(
-        point, covariance, sums.blocks - 1, candidate.residual, candidate.command, problem.period, problem.reading
+        point,
+        covariance,
+        sums.blocks - 1,
+        candidate.unexplained,
+        problem.period,
+        problem.reading,
+        window=rows * problem.period,
     )
-
-
-def free_noise(equations: Sequence[Equation]) -> float:
-    """What is left of the command with coefficients that no law binds (N): least squares."""
-    columns = np.concatenate([x for x, _, _ in equations])
-    command = _commands(equations)
-    scale = np.linalg.norm(columns, axis=0)
-    unit, _ = np.linalg.qr(columns / np.where(scale > 0, scale, 1.0))
-    left = command - unit @ (unit.T @ command)
-    return max(_rms(left), float(np.finfo(float).eps) * _rms(command))
-
-
-def _commands(equations: Sequence[Equation]) -> np.ndarray:
-    return np.concatenate([u[:, u.shape[1] // 2] for _, _, u in equations])
 
 
 def _rms(signal: np.ndarray) -> float:

@@ -74,15 +74,26 @@ def _parts(parameters: np.ndarray, period: complex) -> np.ndarray:
     )
 
 
-def parts_of_cascade(cascade: Cascade) -> Parts:
-    """Those of a controller that is known, without uncertainty."""
-    mass = 0.0 if cascade.feedforward is None else float(cascade.feedforward.mass)
+def parts_of_cascade(cascade: Cascade) -> Parts | None:
+    """Those of a controller that is known, without uncertainty; None for one that has more than the law."""
+    if not _is_plain(cascade):
+        return None
+    share = 1.0 if cascade.force_feedforward is None else float(cascade.force_feedforward)
+    mass = 0.0 if cascade.feedforward is None else share * float(cascade.feedforward.mass)
     kp, kv, forward = float(cascade.kp), float(cascade.kv), float(cascade.velocity_feedforward)
     with np.errstate(divide="ignore", invalid="ignore"):
-        values = np.array(
-            [np.log(kp), np.log(kv), float(cascade.ki) / kv, forward, mass, (1.0 - forward) / kp]
-        )  # fmt: skip
-    return Parts(values, np.zeros((len(PARTS), len(PARTS))), np.inf)
+        rate = float(cascade.ki) / kv if cascade.reset_time is None else 1.0 / float(cascade.reset_time)
+        values = np.array([np.log(kp), np.log(kv), rate, forward, mass, (1.0 - forward) / kp])
+    return Parts(values, np.zeros((len(PARTS), len(PARTS))), np.inf) if np.all(np.isfinite(values)) else None
+
+
+def _is_plain(cascade: Cascade) -> bool:
+    """Whether it is the law alone: no filter, no slower position loop, no second encoder, no force of its own."""
+    filtered = cascade.filters or cascade.velocity_filter_time is not None or cascade.reference_filter_time is not None
+    slower = cascade.position_every != 1 or cascade.reference_delay_samples != 0
+    damping = None if cascade.feedforward is None else cascade.feedforward.damping
+    pushes = damping is not None and (float(damping.positive) != 0 or float(damping.negative) != 0)
+    return not (filtered or slower or pushes or "motor" in cascade.feedback_encoders)
 
 
 def pooled(several: list[Parts]) -> Parts:

@@ -15,8 +15,6 @@ import numpy as np
 Number = complex | np.ndarray
 Vector = np.ndarray  # of numbers, real or (for derivatives) complex
 
-SECOND = 2.5  # weight of the middle row in a second derivative through five, with its sign turned
-
 
 class Reading(enum.Enum):
     """How the rows of a log are read: see `signals`."""
@@ -50,10 +48,9 @@ def coefficients(law: Law, period: float, reading: Reading) -> Vector:
         return gain * _rows(kp, rate * kp, -kp * kappa, -rate * kp * kappa, mass, 1.0, rate)
     # v = y' - d/2 y'' + d^2/6 y''' and its integral y - d/2 y' + d^2/6 y'', with y' = r' - e' and y'' = r'' - e''
     half, sixth = 0.5 * d, d * d / 6.0
-    # The weight of the row's own position: what the columns give it, and what it has in the command. The second
-    # derivative through five rows gives it -5/2, the sum over the last samples 1/4 (of two, beyond half a velocity).
-    given = -kp - rate * (1.0 - SECOND * sixth / period**2) - SECOND * half / period**2
-    wanted = -kp - 1.0 / d - 0.25 * rate if reading is Reading.SAME_INSTANT else -law.noise / period
+    # what the position in the row itself is to the command; the sum over the last samples has a quarter of it (of two,
+    # beyond half a velocity)
+    own = -kp - 1.0 / d - 0.25 * rate if reading is Reading.SAME_INSTANT else -law.noise / period
     return gain * _rows(
         kp + rate,
         rate * kp,
@@ -63,7 +60,7 @@ def coefficients(law: Law, period: float, reading: Reading) -> Vector:
         1.0 - rate * half,
         -half + rate * sixth,
         -sixth,
-        wanted - given,
+        own,
     )
 
 

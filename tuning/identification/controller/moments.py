@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
 
-from tuning.identification.controller.signals import Equation
+from tuning.identification.controller.signals import Condition, Equation, Rows
 
 BLOCKS = 24  # of a log; t with 23 degrees of freedom is 2.07 where the normal quantile is 1.96, and each block is
 # some tenths of a second of the usual log, longer than a loop remembers (Ibragimov and Müller 2010)
@@ -14,27 +15,27 @@ BLOCKS = 24  # of a log; t with 23 degrees of freedom is 2.07 where the normal q
 
 @dataclass(frozen=True)
 class Moments:
-    """Sums over the rows of each block: instruments with instruments, regressors and commands, [b, q, ...].
+    """Sums over the rows of each block: of instruments with regressors and with commands, [b, q, ...].
 
-    `scale` are the root mean squares of the instruments, by which all is divided: units differ by powers of ten.
+    `variances` are those of the sums of what no coefficients explain (Hansen's weighting), had it no memory.
     """
 
-    instruments: Float[np.ndarray, "b q q"]
+    variances: Float[np.ndarray, "b q q"]
     regressors: Float[np.ndarray, "b q k"]
     commands: Float[np.ndarray, "b q c"]
 
     @property
     def blocks(self) -> int:
         """How many there are."""
-        return len(self.instruments)
+        return len(self.variances)
 
     def whitened(self, without: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Regressors and commands projected on orthonormal instruments, [q, k] and [q, c], without one block."""
+        """Sums with regressors and commands in standard deviations, [q, k] and [q, c], without one block."""
         keep = np.arange(self.blocks) != (-1 if without is None else without)
-        zz, zx, zu = (part[keep].sum(axis=0) for part in (self.instruments, self.regressors, self.commands))
-        scale = np.sqrt(np.diag(zz))
+        variances, zx, zu = (part[keep].sum(axis=0) for part in (self.variances, self.regressors, self.commands))
+        scale = np.sqrt(np.diag(variances))
         scale = np.where(scale > 0, scale, 1.0)
-        values, vectors = np.linalg.eigh(zz / np.outer(scale, scale))
+        values, vectors = np.linalg.eigh(variances / np.outer(scale, scale))
         kept = values > values[-1] * RANK
         root = (vectors[:, kept] / np.sqrt(values[kept])).T / scale
         return root @ zx, root @ zu
@@ -47,16 +48,38 @@ def moments(equations: Sequence[Equation]) -> Moments:
     """The sums over the pieces of one log, in blocks of about equal length."""
     rows = sum(len(equation.commands) for equation in equations)
     length = max(1, -(-rows // BLOCKS))
+    levels = [_level(same) for same in zip(*(equation.conditions for equation in equations), strict=True)]
     found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    for x, z, u in equations:
-        count = max(1, round(len(u) / length))
-        for part in np.array_split(np.arange(len(u)), count):
-            found.append((z[part].T @ z[part], z[part].T @ x[part], z[part].T @ u[part]))
-    zz, zx, zu = (np.stack(parts) for parts in zip(*found, strict=True))
-    return Moments(zz, zx, zu)
+    for equation in equations:
+        count = max(1, round(len(equation.commands) / length))
+        for part in np.array_split(np.arange(len(equation.commands)), count):
+            found.append(_sums(equation.conditions, part, levels))
+    return Moments(*(np.stack(parts) for parts in zip(*found, strict=True)))
 
 
-def joined(several: Sequence[Moments]) -> Moments:
-    """The moments of several logs of one controller."""
-    parts = [(one.instruments, one.regressors, one.commands) for one in several]
-    return Moments(*(np.concatenate(same) for same in zip(*parts, strict=True)))
+def _sums(conditions: Sequence[Condition], rows: np.ndarray, levels: Sequence[float]) -> tuple[np.ndarray, ...]:
+    variances, regressors, commands = [], [], []
+    for (z, x, u, excess, _), level in zip(conditions, levels, strict=True):
+        variances.append(level**2 * z[rows].T @ z[rows])
+        regressors.append(z[rows].T @ x[rows] + len(rows) * excess)
+        commands.append(z[rows].T @ u[rows])
+    return block_diag(*variances), np.concatenate(regressors), np.concatenate(commands)
+
+
+def _level(same: Sequence[Condition]) -> float:
+    """What is left of the command where the instruments look (N), with coefficients that no law binds."""
+    looked = [np.any(one.instruments != 0, axis=1) for one in same]
+    if not any(rows.any() for rows in looked):  # a position without noise
+        return 1.0
+    columns = np.concatenate([one.regressors[rows] for one, rows in zip(same, looked, strict=True)])
+    command = np.concatenate([one.commands[rows] for one, rows in zip(same, looked, strict=True)])
+    return same[0].level * left_free(columns, command[:, command.shape[1] // 2])
+
+
+def left_free(columns: Rows, commands: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "..."]:
+    """Root mean square of what least squares leave of each command; not less than its rounding."""
+    scale = np.linalg.norm(columns, axis=0)
+    unit, _ = np.linalg.qr(columns / np.where(scale > 0, scale, 1.0))
+    left = commands - unit @ (unit.T @ commands)
+    rounding = float(np.finfo(float).eps)
+    return np.maximum(np.sqrt(np.mean(left**2, axis=0)), rounding * np.sqrt(np.mean(commands**2, axis=0)))

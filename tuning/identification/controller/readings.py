@@ -1,6 +1,5 @@
 """How the rows of a log are to be read: every sample of the controller, or snapshots of a faster loop."""
 
-import itertools
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import NamedTuple
@@ -9,14 +8,16 @@ import numpy as np
 
 from diffdrive.errors import LogError
 from diffdrive.logs import Log
-from tuning.identification.controller.fit import Candidate, LawFit, free_noise, search_law, with_covariance
-from tuning.identification.controller.law import Law, Reading
+from tuning.identification.controller.fit import Candidate, LawFit, search_law, with_covariance
+from tuning.identification.controller.law import Reading
+from tuning.identification.controller.moments import left_free
 from tuning.identification.controller.signals import Equation, every_sample, pieces, position_noise, snapshots
 
 SAMPLES = range(1, 9)  # over which a velocity is differenced
 DELAYS = range(-1, 4)  # rows from computing a command to logging it
 SNAPSHOT_DELAYS = (-1, 0, 1)
 CONVINCED = 15.1  # of chi squared with one degree of freedom: a chance of 1e-4 that noise alone shows so much
+LAG = 5  # of the regressors of every sample: how reference and measured velocity differ, whose coefficient is the gain
 TRIED_ROWS = 8_000  # of a log, from which it is told how to read it: noise of so many rows is known to a hundredth
 
 
@@ -33,30 +34,36 @@ def fit_log(log: Log) -> LawFit:
             f"{log.name}: has no stretch that is long enough, without a gap and without a clipped command; log a "
             "longer motion"
         )
-    reading = _reading(log, [_busiest(log, found)])
-    whole = None
-    if reading is not None:
-        whole = search_law([reading.equation(log, piece) for piece in found], 1.0 / log.rate, reading.reading)
+    reading = _reading(log, _busiest(log, found))
+    whole = search_law([reading.equation(log, piece) for piece in found], 1.0 / log.rate, reading.reading)
     if whole is None:
         raise LogError(
             f"{log.name}: command: does not push against the following error; check the signs of command and position, "
             "and that the reference is that of this axis"
         )
-    return with_covariance(whole)
+    return with_covariance(whole, reading.samples)
 
 
 class _Choice(NamedTuple):
-    """A way to read a log, and what it makes of the part that was tried."""
+    """A way to read a log; `samples` are those of the velocity, where each row is one."""
 
     reading: Reading
     equation: Callable[[Log, slice], Equation]
-    candidate: Candidate
+    samples: int | None = None
+
+    def search(self, log: Log, part: slice) -> Candidate | None:
+        """What it makes of a part of the log."""
+        return search_law([self.equation(log, part)], 1.0 / log.rate, self.reading)
 
 
-def _reading(log: Log, part: list[slice]) -> _Choice | None:
+def _reading(log: Log, part: slice) -> _Choice:
     """Every sample where that explains the noise of the command, and better than snapshots do."""
-    choices = [one for one in (_every_sample(log, part), _snapshots(log, part)) if one is not None]
-    return min(choices, key=lambda one: one.candidate.residual, default=None)
+    snapshots, every = _snapshots(log, part), _every_sample(log, part)
+    if every is None:
+        return snapshots
+    choice, found = every
+    other = snapshots.search(log, part)
+    return choice if other is None or found.residual <= other.residual else snapshots
 
 
 def _busiest(log: Log, found: list[slice]) -> slice:
@@ -72,59 +79,66 @@ def _busiest(log: Log, found: list[slice]) -> slice:
     return max(parts(), key=lambda part: part[0])[1]
 
 
-def _every_sample(log: Log, part: list[slice]) -> _Choice | None:
+def _every_sample(log: Log, part: slice) -> tuple[_Choice, Candidate] | None:
     """With the samples and the delay that leave least before any law binds; the law then says how r' is taken.
 
     None where the noise of the position is left. Of snapshots the older sample of each velocity is not in the log, so
     that its noise is, gain times noise over time. Of every sample only rounding is: half of that variance is between.
     """
-
-    def read(log: Log, piece: slice, samples: int, delay: int, backward: bool) -> Equation:
-        return every_sample(log, piece, samples, delay, backward=backward)
-
-    def left(choice: tuple[int, int]) -> float:
-        return free_noise([read(log, piece, *choice, backward=False) for piece in part])
-
-    samples, delay = min(itertools.product(SAMPLES, DELAYS), key=left)
-    choices: list[_Choice] = []
-    for backward in (True, False):
-        equation = partial(read, samples=samples, delay=delay, backward=backward)
-        found = search_law([equation(log, piece) for piece in part], 1.0 / log.rate, Reading.EVERY_SAMPLE)
-        if found is not None:
-            choices.append(_Choice(Reading.EVERY_SAMPLE, equation, found))
-    best = min(choices, key=lambda one: one.candidate.residual, default=None)
-    if best is None:
+    noise = position_noise(log, [part])
+    longest, (first, last) = SAMPLES[-1], (DELAYS[0], DELAYS[-1])
+    rows = slice(part.start - first, part.stop - last)
+    commands = np.stack([log.command[rows.start + delay : rows.stop + delay] for delay in DELAYS], axis=1)
+    left, gains = [], []
+    for samples in SAMPLES:
+        columns = every_sample(log, part, samples, 0, backward=False).regressors
+        first_row = part.start + samples  # of the columns, which end a row before the part does
+        used = slice(rows.start + longest, rows.stop - 1)
+        columns = columns[used.start - first_row : used.stop - first_row]
+        columns = columns - columns.mean(axis=0)
+        command = commands[used.start - rows.start : used.stop - rows.start]
+        command = command - command.mean(axis=0)
+        left.append(left_free(columns, command))
+        gains.append(np.linalg.lstsq(columns, command[:, int(np.argmin(left[-1]))])[0][LAG])
+    best = int(np.argmin([one.min() for one in left]))
+    samples, delay = SAMPLES[best], DELAYS[int(np.argmin(left[best]))]
+    allowed = np.sqrt(0.5) * abs(gains[best]) * noise * log.rate / samples
+    if left[best].min() > allowed:
         return None
-    gain = float(np.exp(best.candidate.solution.point[Law._fields.index("log_gain")]))
-    noise = gain * position_noise(log, part) * log.rate / samples
-    return best if best.candidate.residual**2 < 0.5 * noise**2 else None
+    found: list[tuple[_Choice, Candidate]] = []
+    for backward in (True, False):
+        equation = partial(every_sample, samples=samples, delay=delay, backward=backward)
+        choice = _Choice(Reading.EVERY_SAMPLE, equation, samples)
+        candidate = choice.search(log, part)
+        if candidate is not None and candidate.residual < allowed:
+            found.append((choice, candidate))
+    return min(found, key=lambda one: one[1].residual, default=None)
 
 
-def _snapshots(log: Log, part: list[slice]) -> _Choice | None:
+def _snapshots(log: Log, part: slice) -> _Choice:
     """The command of the position beside it only where its noise shows that: otherwise it has an instant of its own."""
-    same: list[_Choice] = []
-    own: list[_Choice] = []
-    for delay in SNAPSHOT_DELAYS:
-        equation = partial(snapshots, delay=delay)
-        equations = [equation(log, piece) for piece in part]
-        free = search_law(equations, 1.0 / log.rate, Reading.OWN_INSTANT)
-        if free is None:
-            continue
-        if delay == 0:
-            own.append(_Choice(Reading.OWN_INSTANT, equation, free))
-        tied = search_law(equations, 1.0 / log.rate, Reading.SAME_INSTANT) if _moves_with_noise(free) else None
-        if tied is not None:
-            same.append(_Choice(Reading.SAME_INSTANT, equation, tied))
-    return min(same or own, key=lambda one: one.candidate.cost, default=None)
+    noise = position_noise(log, [part])
+    read = {delay: partial(snapshots, delay=delay, noise=noise) for delay in SNAPSHOT_DELAYS}
+    shown = {delay: _moves_with_noise(equation(log, part)) for delay, equation in read.items()}
+    delay = max(shown, key=lambda delay: shown[delay])
+    if shown[delay] > CONVINCED:
+        return _Choice(Reading.SAME_INSTANT, read[delay])
+    return _Choice(Reading.OWN_INSTANT, read[0])
 
 
-def _moves_with_noise(free: Candidate) -> bool:
-    """Whether the command moves with the noise of the position beside it, and against it, as feedback does.
+def _moves_with_noise(equation: Equation) -> float:
+    """Chi squared of the command moving with the noise of the position beside it, against it, as feedback does.
 
-    What the other moments fit badly is no doubt of this one: they are of motion, and it is of what motion leaves.
+    Zero where it moves the other way. What the condition of motion fits badly is no doubt of this one: it is of what
+    motion leaves.
     """
-    problem, point, *_ = free.solution
-    jacobian = problem.jacobian(point)
-    noise = point[Law._fields.index("noise")]
-    variance = np.linalg.inv(jacobian.T @ jacobian)[-1, -1]
-    return bool(noise > 0 and noise**2 > CONVINCED * variance)
+    motion, quiet = equation.conditions
+    theta = np.linalg.lstsq(motion.regressors[:, :-1], motion.commands[:, motion.commands.shape[1] // 2])[0]
+    rows = quiet.instruments[:, 0] != 0
+    if not rows.any():
+        return 0.0
+    own, noise = quiet.instruments[rows, 0], quiet.regressors[rows, -1]
+    left = quiet.commands[rows, quiet.commands.shape[1] // 2] - quiet.regressors[rows, :-1] @ theta
+    moved = own @ left / (own @ noise)
+    variance = np.mean((left - moved * noise) ** 2) * (own @ own) / (own @ noise) ** 2
+    return float(moved**2 / variance) if moved < 0 else 0.0

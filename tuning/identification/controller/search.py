@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from tuning.identification.controller.law import Law, Reading, coefficients
-from tuning.identification.controller.moments import Moments
 from tuning.identification.controller.signals import interpolation
 
 # What is expected before a log is seen: mean and standard deviation of each parameter. Far wider than any log leaves
@@ -56,19 +55,13 @@ def weights(law: Law, reading: Reading) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Problem:
-    """Least squares of a log's moments, at a noise of the command (N), and of what was expected."""
+    """Least squares of a log's moments, in their standard deviations, and of what was expected."""
 
-    regressors: np.ndarray  # whitened, [q, k]
-    commands: np.ndarray  # whitened, [q, c]
-    noise: float
+    regressors: np.ndarray  # [q, k]
+    commands: np.ndarray  # [q, c]
     period: float
     reading: Reading
     log_gain: float = 0.0  # as expected
-
-    @staticmethod
-    def of(moments: Moments, noise: float, period: float, reading: Reading, without: int | None = None) -> "Problem":
-        """That of all blocks, or of all but one."""
-        return Problem(*moments.whitened(without), noise, period, reading)
 
     @property
     def spread(self) -> np.ndarray:
@@ -87,7 +80,7 @@ class Problem:
         """The residuals at points [p, m] side by side, [q + p, m]."""
         law = Law(*points, *np.zeros((len(Law._fields) - len(points), points.shape[1])))
         theta = coefficients(law, self.period, self.reading)
-        equation = (self.commands @ weights(law, self.reading) - self.regressors @ theta) / self.noise
+        equation = self.commands @ weights(law, self.reading) - self.regressors @ theta
         expected = EXPECTED[: len(points)].copy()
         expected[LOG_GAIN] = self.log_gain
         departures = (points - expected[:, None]) / self.spread[:, None]

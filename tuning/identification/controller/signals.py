@@ -2,16 +2,17 @@
 
 Two readings of a log. In `every_sample` each row is one period of the controller: its arithmetic is reproduced, noise
 of the position included, and nothing is left but the rounding of the command. In `snapshots` the rows are picked from a
-faster loop: the velocity between them is a derivative, in which the noise of the rows counts. So each signal is taken
-twice: as regressor from the row and its neighbours, and as instrument (Söderström and Stoica) from the rows further
-out, whose noise is another.
+faster loop: the velocity between them is a derivative, of which the fast part is wrong twice, by the noise of the rows
+and by motion that is faster than they are. So motion and noise are two conditions. That of motion is asked of the slow
+part of all signals, and what the noise adds to its sums is taken away (Söderström 2018, bias compensation). That of
+noise says how the command moves with the position of its own row, from which the velocity's window follows.
 """
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from diffdrive.logs import Log
 
@@ -19,25 +20,45 @@ from diffdrive.logs import Log
 Rows = Float[np.ndarray, "n k"]
 
 STENCIL = np.arange(-2, 3)  # rows of a regressor: a quartic through five is exact to the jerk's derivative
-OUTER = np.array([-8, -7, -6, -5, -4, -3, 3, 4, 5, 6, 7, 8])  # rows of an instrument: none of a regressor's
-OUTER_DEGREE = 5  # of the polynomial through them: odd, as the rows are symmetric, so that it costs no bias in slopes
+OUTER = np.array([-8, -7, -6, -5, -4, -3, 3, 4, 5, 6, 7, 8])  # rows that tell motion from noise: none of a regressor's
+OUTER_DEGREE = 5  # of the polynomial through them
+SLOW = 4  # rows on either side
+# Half of what has a period of ten rows passes, nothing of what has five or less: a quartic's derivatives are exact to
+# (2 pi / 10)^4 / 30, half a per cent, there, and what rows fold down from above their own rate is faster by nine times
+LOW_PASS = np.hanning(2 * SLOW + 3)[1:-1] / np.sum(np.hanning(2 * SLOW + 3))
 NOISE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # the row minus the cubic through its four neighbours
 NORMAL_MEDIAN = 0.6745  # of the magnitude of a standard normal number
 CALM = 16  # rows on either side
-MARGIN = 8  # rows at each end of a piece that have not all of these
+SAMPLES_TO_A_ROW = 16  # of the controller, at most
+MARGIN = 8  # rows at each end of a piece that have not all of `OUTER`
 MIN_ROWS = 64  # a piece with fewer rows than four times both margins shows less than it costs: a constant of its own
 HELD_ROWS = 3  # a command that stands at its extreme for so long is clipped: noise moves an unclipped one
+
+
+class Condition(NamedTuple):
+    """Instruments that are orthogonal to the command less regressors times coefficients, summed over the rows.
+
+    `excess` is what the noise of the position takes from the sums of instruments with regressors, for each row;
+    `level` multiplies the root mean square of what is left to that of its slow part, which the instruments see.
+    """
+
+    instruments: Rows
+    regressors: Rows
+    commands: Rows
+    excess: Float[np.ndarray, "q k"] | float = 0.0
+    level: float = 1.0
 
 
 class Equation(NamedTuple):
     """command = regressors times coefficients, at each row of a piece, in deviations from the piece's mean.
 
-    `commands` are the command at neighbouring rows, from which it is interpolated to the instant of the others.
+    `commands` are the command at neighbouring rows, from which it is interpolated to the instant of the others. Its
+    coefficients follow from the `conditions`.
     """
 
     regressors: Rows
-    instruments: Rows
     commands: Rows
+    conditions: tuple[Condition, ...]
 
 
 def pieces(log: Log) -> Iterator[slice]:
@@ -85,32 +106,60 @@ def every_sample(log: Log, piece: slice, samples: int, delay: int, *, backward: 
         ],
         axis=1,
     )
-    columns = _centred(columns)
-    return Equation(columns, columns, _centred(log.command[piece][n + delay][:, None]))
+    columns, command = _centred(columns), _centred(log.command[piece][n + delay][:, None])
+    return Equation(columns, command, (Condition(columns, columns, command),))
 
 
-def snapshots(log: Log, piece: slice, delay: int) -> Equation:
-    """Rows picked from a faster loop, the command logged `delay` rows after the row that it is of.
+def snapshots(log: Log, piece: slice, delay: int, noise: float) -> Equation:
+    """Rows picked from a faster loop, with a position of this noise (m), the command `delay` rows after its own row.
 
-    The last regressor is the noise of the row itself, as far as its neighbours tell it from motion, and the instrument
-    for it what the outer rows do: where the command of a row is computed from the position in that row, this noise is
-    in the command, and says over what time the velocity is differenced.
+    The last regressor is the noise of the row itself, as far as its neighbours tell it from motion; the others are
+    without it. Where the command of a row is computed from the position in that row, this noise is in the command.
     """
     period = 1.0 / log.rate
     r, y, u = (signal[piece] for signal in (log.reference, log.position, log.command))  # type: ignore[index]
     inner = slice(MARGIN, len(r) - MARGIN)
     summed = _smooth_integral(r - y, period)[inner]
     near = _columns(_derivatives(r, STENCIL, 4, period), _derivatives(y, STENCIL, 4, period), summed)
-    reference = _derivatives(r, OUTER, OUTER_DEGREE, period)
-    beyond = _derivatives(y, OUTER, OUTER_DEGREE, period)
-    far = _columns(reference, beyond, summed)
-    noise = np.convolve(y - y[0], NOISE, "valid")[MARGIN - 2 : len(r) - MARGIN - 2]
-    rows = np.arange(MARGIN, len(r) - MARGIN)[:, None] + STENCIL + delay
+    commands = u[np.arange(MARGIN, len(r) - MARGIN)[:, None] + STENCIL + delay]
+    taps = _noise_taps(period)
+    own = np.convolve(y - y[0], NOISE, "valid")[MARGIN - 2 : len(r) - MARGIN - 2]
+    clean = np.column_stack([near - own[:, None] * taps[len(STENCIL) // 2], own])
+    smooth = _derivatives(y, OUTER, OUTER_DEGREE, period)
+    moving = period * np.abs(smooth[1]) > SAMPLES_TO_A_ROW * _quantum(y)
+    quiet = _where_calm(y[inner] - smooth[0], moving)[:, None]
+    clean, quiet, now = (part[SLOW:-SLOW] for part in (clean, quiet, commands))
+    looked = quiet != 0
+    quiet = quiet - looked * np.sum(quiet) / max(1, np.count_nonzero(looked))
+    clean, now = _centred(clean), _centred(now)
+    slow = _centred(_slow(near))
+    slow_taps = np.stack([np.convolve(tap, LOW_PASS) for tap in taps.T], axis=1)
+    own_tap = np.convolve(np.arange(len(STENCIL)) == len(STENCIL) // 2, LOW_PASS)
     return Equation(
-        _centred(np.column_stack([near, noise])),
-        _centred(np.column_stack([far, reference[3], _where_calm(y[inner] - beyond[0])])),
-        _centred(u[rows]),
+        clean,
+        now,
+        (
+            Condition(
+                slow,
+                np.column_stack([slow, np.zeros(len(slow))]),
+                _centred(_slow(commands)),
+                noise**2 * slow_taps.T @ np.column_stack([-slow_taps, own_tap]),
+                level=float(1.0 / np.linalg.norm(LOW_PASS)),
+            ),
+            Condition(quiet, clean, now),
+        ),
     )
+
+
+def _noise_taps(period: float) -> Float[np.ndarray, "5 k"]:
+    """How the regressors of motion move with the position in each row of the stencil; an integral hardly does."""
+    value, first, second, third = _weights(STENCIL, 4, period)
+    none = np.zeros(len(STENCIL))
+    return np.stack([-value, none, none, none, none, -first, -second, third], axis=1)
+
+
+def _slow(columns: Rows) -> Rows:
+    return np.stack([np.convolve(column, LOW_PASS, "valid") for column in columns.T], axis=1)
 
 
 def _columns(r: list[np.ndarray], y: list[np.ndarray], summed_error: np.ndarray) -> Rows:
@@ -119,14 +168,18 @@ def _columns(r: list[np.ndarray], y: list[np.ndarray], summed_error: np.ndarray)
 
 def _derivatives(signal: np.ndarray, rows: np.ndarray, degree: int, period: float) -> list[np.ndarray]:
     """Value and three derivatives of the polynomial of this degree through neighbouring rows, within the margins."""
-    scale = float(np.max(np.abs(rows)))
-    fit = np.linalg.pinv(np.vander(rows / scale, degree + 1, increasing=True))
     offset = signal[0]  # positions far from zero would cost digits
     windows = np.lib.stride_tricks.sliding_window_view(signal - offset, 2 * MARGIN + 1)[:, rows + MARGIN]
-    factors = np.array([1.0, 1.0, 2.0, 6.0]) / (scale * period) ** np.arange(4)
-    found = windows @ (fit[:4] * factors[:, None]).T
+    found = windows @ _weights(rows, degree, period).T
     found[:, 0] += offset
     return list(found.T)
+
+
+def _weights(rows: np.ndarray, degree: int, period: float) -> np.ndarray:
+    """Weights of the rows for value and three derivatives of the polynomial through them, [4, rows]."""
+    scale = float(np.max(np.abs(rows)))
+    fit = np.linalg.pinv(np.vander(rows / scale, degree + 1, increasing=True))
+    return fit[:4] * (np.array([1.0, 1.0, 2.0, 6.0]) / (scale * period) ** np.arange(4))[:, None]
 
 
 def integral(signal: Float[np.ndarray, " n"], period: float) -> Float[np.ndarray, " n"]:
@@ -140,14 +193,24 @@ def position_noise(log: Log, found: Sequence[slice]) -> float:
     return float(np.median(np.abs(left)) / NORMAL_MEDIAN / np.linalg.norm(NOISE))
 
 
-def _where_calm(noise: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+def _where_calm(noise: Float[np.ndarray, " n"], moving: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """The noise where the motion is slow enough to leave it alone, zero elsewhere.
 
     Reversals and vibrations are in it, too, a hundred times larger. The root mean square over 33 rows of white noise
-    scatters by an eighth, so what is twice that of the calmest quarter is none.
+    scatters by an eighth, so what is twice that of the calmest quarter is none. Of an axis that stands, the rounding of
+    successive samples is one and the same, and shows no window of a velocity: it must move by a count to a sample.
     """
+    if not moving.any():
+        return np.zeros(len(noise))
     local = np.sqrt(np.convolve(noise**2, np.ones(2 * CALM + 1) / (2 * CALM + 1), "same"))
-    return np.where(local <= 2.0 * np.quantile(local, 0.25), noise, 0.0)
+    return np.where(moving & (local <= 2.0 * np.quantile(local[moving], 0.25)), noise, 0.0)
+
+
+def _quantum(position: Float[np.ndarray, " n"]) -> float:
+    """The count of an encoder (m): the smallest step of the position beyond rounding."""
+    steps = np.abs(np.diff(position))
+    steps = steps[steps > 16.0 * np.finfo(float).eps * np.max(np.abs(position))]
+    return float(np.min(steps)) if len(steps) else 0.0
 
 
 def _smooth_integral(signal: Float[np.ndarray, " n"], period: float) -> Float[np.ndarray, " n"]:

@@ -2,18 +2,19 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from diffdrive.axis import Axis
+from diffdrive.controllers import UnknownController
 from diffdrive.controllers.cascade import Cascade
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log, read_logs
 from diffdrive.results import Result, Status
-from tuning.identification.controller.compare import SMALLEST, Difference, differences
-from tuning.identification.controller.fit import LawFit
+from tuning.identification.controller.cascade import cascade_of
+from tuning.identification.controller.compare import SMALLEST, Difference, Named, differences_of
 from tuning.identification.controller.gains import Gain, Parts, gains_of, parts_of, parts_of_cascade, pooled
 from tuning.identification.controller.law import Reading
 from tuning.identification.controller.readings import fit_log
@@ -24,8 +25,8 @@ class LogController:
     """The controller of one log.
 
     `reading` says what its rows are; `unexplained` is the share of the command (root mean square) that a cascade with
-    these gains leaves. Of snapshots, `window` is the time over which the velocity is differenced (s) and `delay` by how
-    much the command was logged late (s); zero where each row is a sample.
+    these gains leaves, of snapshots of its slow part. `window` is the time over which the velocity is differenced (s).
+    Of snapshots, `delay` is by how much the command was logged late (s); zero where each row is a sample.
     """
 
     log: str
@@ -40,13 +41,19 @@ class LogController:
         """One gain by name; raises `ParameterError` for an unknown one."""
         return _named(self.gains, name)
 
+    @property
+    def is_explained(self) -> bool:
+        """Whether a cascade explains the command as closely as gains are compared: a change of less would be seen."""
+        return self.unexplained < SMALLEST
+
 
 @dataclass(frozen=True, repr=False, eq=False)
 class ControllerEstimate(Result):
     """The gains of a cascade as estimated from logs: of each log, and of all together where they are the same.
 
-    `gains` are of all logs; where the logs differ they are of the last one, and `differences` say so. Not ok: the logs
-    determine no K_v, or the logs' controllers differ from one another.
+    `gains` are of all logs; where the logs differ they are of the last one, and `differences` say so. `axis` is the one
+    that was given with a cascade of these gains; None where none was given, or the controller's rate is not known. Not
+    ok: the logs determine no K_v, or the logs' controllers differ from one another.
     """
 
     gains: tuple[Gain, ...]
@@ -54,6 +61,7 @@ class ControllerEstimate(Result):
     differences: tuple[Difference, ...]  # between logs, and between the logs and the drive file
     notes: tuple[str, ...]
     status: Status
+    axis: Axis | None = None
 
     schema: ClassVar[str] = "controller/1"
 
@@ -111,10 +119,11 @@ def identify_controller(
     Where the axis has a cascade of its own, the logs are compared with it. Method: docs/method/controller.md.
 
     Args:
-        axis: Names the columns of logs that are files, and the controller to compare with; None for neither.
+        axis: Names the columns of logs that are files, the controller to compare with, and the axis in which the
+            cascade that is found takes its place; None for none of these.
         logs: One or several of `Log`, files, data frames or dicts of arrays [n]. They may have different rates.
         control_rate: Rate of the controller (Hz), which may be faster than the rows; by default the axis's, if its
-            controller is known.
+            controller is known or [trace] says another rate of the rows.
         throw: Raise an error where no K_v is determined, or the logs differ.
 
     Raises:
@@ -131,11 +140,9 @@ def identify_controller(
     if control_rate is not None and not (np.isfinite(control_rate) and control_rate > 0):
         raise ParameterError(f"control_rate: must be positive and finite, in Hz, got {control_rate!r}")
     read = _read(axis, logs)
-    if control_rate is None and axis is not None and isinstance(axis.controller, Cascade):
-        control_rate = axis.rate
-    period = None if control_rate is None else 1.0 / control_rate
-    each = tuple(_of_log(log.name, fit_log(log), period) for log in read)
-    result = _together(axis, each)
+    control_rate = control_rate or known_rate(axis)
+    each = tuple(of_log(log, control_rate) for log in read)
+    result = _together(axis, each, control_rate)
     return result.require_ok() if throw else result
 
 
@@ -149,46 +156,55 @@ def _read(axis: Axis | None, logs: object) -> list[Log]:
     return [source if isinstance(source, Log) else next(read) for source in listed]
 
 
-def _of_log(name: str, fit: LawFit, control_period: float | None) -> LogController:
-    parts = parts_of(fit, control_period)
-    snapshots = fit.reading is not Reading.EVERY_SAMPLE
-    return LogController(
-        name,
-        gains_of(parts),
-        fit.reading,
-        fit.residual / fit.command,
-        window=fit.period * float(fit.law.window.real) if snapshots else 0.0,
-        delay=fit.period * float(fit.law.shift.real) if snapshots else 0.0,
-        parts=parts,
-    )
+def known_rate(axis: Axis | None) -> float | None:
+    """The rate of the axis's controller (Hz); None where the rate of its file may be that of a trace."""
+    if axis is None or (isinstance(axis.controller, UnknownController) and axis.trace.rate is None):
+        return None
+    return axis.rate
 
 
-def _together(axis: Axis | None, each: Sequence[LogController]) -> ControllerEstimate:
-    between = tuple(
-        difference
-        for one, other in itertools.combinations(each, 2)
-        for difference in differences(one.parts, other.parts, (one.log, other.log))
-    )
+def of_log(log: Log, control_rate: float | None) -> LogController:
+    """The controller of one log; raises `LogError` where it shows none."""
+    fit = fit_log(log)
+    parts = parts_of(fit, None if control_rate is None else 1.0 / control_rate)
+    delay = fit.period * float(fit.law.shift.real)
+    return LogController(log.name, gains_of(parts), fit.reading, fit.unexplained, fit.window, delay, parts)
+
+
+def differences_between(axis: Axis | None, each: Sequence[LogController]) -> tuple[Difference, ...]:
+    """Those between logs; where there are none, those from the axis's cascade, of all logs together.
+
+    A log whose command a cascade does not explain is compared with nothing.
+    """
+    explained = [one for one in each if one.is_explained]
+    several = [Named(one.log, one.parts) for one in explained]
+    between = differences_of(list(itertools.combinations(several, 2)))
+    known = parts_of_cascade(axis.controller) if axis is not None and isinstance(axis.controller, Cascade) else None
+    if known is None or not several:
+        return between
+    if not between:
+        several = [Named(_listed(explained), pooled([one.parts for one in explained]))]
+    return between + differences_of([(one, Named("the drive file", known)) for one in several])
+
+
+def _together(axis: Axis | None, each: Sequence[LogController], control_rate: float | None) -> ControllerEstimate:
+    found = differences_between(axis, each)
+    names = {one.log for one in each}
+    between = [one for one in found if set(one.sources) <= names]
     parts = each[-1].parts if between else pooled([one.parts for one in each])
-    stated: tuple[Difference, ...] = ()
-    if axis is not None and isinstance(axis.controller, Cascade):
-        compared = each if between else [LogController(_listed(each), (), each[0].reading, 0.0, 0.0, 0.0, parts)]
-        known = parts_of_cascade(axis.controller)
-        stated = tuple(
-            difference for one in compared for difference in differences(one.parts, known, (one.log, "the drive file"))
-        )
-    gains = gains_of(parts)
-    return ControllerEstimate(
-        gains, tuple(each), (*between, *stated), _notes(gains, each, (*between, *stated)), _status(gains, between)
-    )
-
-
-def _status(gains: Sequence[Gain], between: Sequence[Difference]) -> Status:
+    gains, status = gains_of(parts), Status(True)
     if between:
-        return Status(False, "the controllers of the logs differ", code="different controllers")
-    if not _named(gains, "kp").determined:
-        return Status(False, "the logs do not determine K_v", code="not determined")
-    return Status(True)
+        status = Status(False, "the controllers of the logs differ", code="different controllers")
+    elif not _named(gains, "kp").determined:
+        status = Status(False, "the logs do not determine K_v", code="not determined")
+    rate = control_rate
+    if rate is None and axis is not None and each[-1].reading is Reading.EVERY_SAMPLE:
+        rate = axis.rate
+    with_cascade = None
+    if axis is not None and rate is not None and status.code != "not determined":
+        controller = cascade_of(gains, axis.drive, samples=max(1, round(each[-1].window * rate)))
+        with_cascade = replace(axis, controller=controller)
+    return ControllerEstimate(gains, tuple(each), found, _notes(gains, each, found), status, with_cascade)
 
 
 def _notes(gains: Sequence[Gain], each: Sequence[LogController], found: Sequence[Difference]) -> tuple[str, ...]:
@@ -204,6 +220,12 @@ def _notes(gains: Sequence[Gain], each: Sequence[LogController], found: Sequence
         )
     notes += [
         f"{one.log}: {one.reading.value}; {100.0 * one.unexplained:.2g} % of the command is unexplained" for one in each
+    ]
+    notes += [
+        f"{one.log}: a cascade does not explain the command to {100.0 * SMALLEST:g} %, so it is compared with none: "
+        "the controller has more, or is another"
+        for one in each
+        if not one.is_explained
     ]
     return tuple(notes)
 

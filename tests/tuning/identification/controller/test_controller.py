@@ -8,10 +8,14 @@ import pytest
 
 import diffdrive as dd
 import tuning
+from diffdrive.axis import Sampling
+from diffdrive.controllers import Cascade, UnknownController
 from diffdrive.errors import LogError, ParameterError, ResultError
 from diffdrive.logs import Log
+from diffdrive.model.trace import Trace
 from experiments.studies.controller_study import NaiveCascade, study
 from experiments.studies.data_folder import find_data
+from tuning.identification.controller.findings import controller_findings
 from tuning.identification.controller.law import Law, Reading, coefficients
 from tuning.identification.controller.moments import moments
 from tuning.identification.controller.readings import fit_log
@@ -155,16 +159,107 @@ def test_the_law_of_snapshots_holds_on_polynomials_without_noise():
     iw = 40.0 * (error - 0.01 * r(time)) + r(time) - mean
     command = 2e4 * (w + 50.0 * iw + 1e-3 * r.deriv(2)(time))
     log = Log("cubic", time, y(time), command, r(time))
-    x, _, u = snapshots(log, slice(0, 200), 0)
-    left = u[:, 2] - x @ coefficients(law, period, Reading.SAME_INSTANT)
-    assert np.max(np.abs(left)) < 1e-7 * np.max(np.abs(command))
+    equation = snapshots(log, slice(0, 200), 0, noise=0.0)
+    theta = coefficients(law, period, Reading.SAME_INSTANT)
+    for x, u in [(equation.regressors, equation.commands), equation.conditions[0][1:3]]:
+        assert np.max(np.abs(u[:, 2] - x @ theta)) < 1e-7 * np.max(np.abs(command))
 
 
 def test_blocks_add_up_to_the_whole(trace):
-    equation = snapshots(trace, slice(0, len(trace.time)), 0)
+    equation = snapshots(trace, slice(0, len(trace.time)), 0, noise=0.0)
     sums = moments([equation])
-    whole = equation.instruments.T @ equation.regressors
+    whole = np.concatenate([one.instruments.T @ one.regressors for one in equation.conditions])
     assert sums.regressors.sum(axis=0) == pytest.approx(whole, rel=1e-9, abs=1e-12)
+
+
+def test_what_noise_adds_to_the_sums_of_motion_is_taken_away():
+    # a position of noise alone, and a command of that noise: nothing is left of the sums, but for chance
+    rng, noise, gain, rows = np.random.default_rng(6), 1e-7, 1e5, 40_000
+    y = noise * rng.standard_normal(rows)
+    log = Log("noise", 1e-3 * np.arange(rows), y, gain * y, 0.0 * y)
+    motion = snapshots(log, slice(0, rows), 0, noise).conditions[0]
+    derivatives = [0, 5, 6, 7]  # not the integral, whose noise is a random walk
+    sums = motion.instruments.T @ motion.regressors / len(y) + motion.excess
+    size = np.sqrt(np.mean(motion.instruments**2, axis=0))[derivatives]
+    assert np.max(np.abs(sums[np.ix_(derivatives, derivatives)] / np.outer(size, size))) < 0.05
+    command = motion.instruments.T @ motion.commands[:, 2] / len(y)
+    assert np.max(np.abs(motion.excess[derivatives, -1] * gain - command[derivatives]) / size) < 0.05 * gain * noise
+
+
+def test_an_axis_that_stands_does_not_show_the_window_of_its_velocity():
+    # a count that flickers now and then is one and the same for many samples: no noise of its own in each
+    rng = np.random.default_rng(7)
+    y = 1e-6 * np.round(0.3 * rng.standard_normal(4000) + 0.3)
+    log = Log("standing", 1e-3 * np.arange(4000), y, 1e5 * y, 0.0 * y)
+    quiet = snapshots(log, slice(0, 4000), 0, 1e-7).conditions[1]
+    assert not quiet.instruments.any()
+
+
+def test_gains_that_can_change_places_have_intervals_that_say_so():
+    cascade = NaiveCascade(kp=60.0, reset_time=1.0 / 60.0, velocity_feedforward=1.0, resolution=2e-7)
+    found = tuning.identify_controller(None, cascade.log(SECONDS, seed=8), control_rate=cascade.rate)
+    for name in ("kp", "kv", "reset_time"):
+        low, high = found.interval(name)
+        assert low <= getattr(cascade, name) <= high
+    low, high = found.interval("kp")
+    assert high > 1.02 * low
+
+
+def traced_axis():
+    """An axis of 4 kHz with a trace of every fourth sample, whose controller is not known."""
+    axis = dd.paper_axis(controller="cascade")
+    return replace(axis, controller=UnknownController(), sampling=Sampling(4000.0), trace=Trace(rate=1000.0))
+
+
+def test_the_found_cascade_takes_the_place_of_an_unknown_controller(trace, tmp_path):
+    found = tuning.identify_controller(traced_axis(), trace)
+    controller = found.axis.controller
+    assert controller.kp == pytest.approx(TRACE.kp, rel=0.02)
+    assert controller.kv == pytest.approx(TRACE.kv, rel=0.02)
+    assert controller.reset_time == pytest.approx(TRACE.reset_time, rel=0.02)
+    assert controller.velocity_samples == TRACE.velocity_samples
+    assert controller.velocity_feedforward == 0.0
+    assert controller.feedforward is None
+    found.axis.write(tmp_path / "controller.toml")
+    assert dd.read_axis(tmp_path / "controller.toml").controller.kp == pytest.approx(controller.kp)
+
+
+def test_without_the_rate_of_the_controller_no_axis_is_made(trace):
+    axis = replace(traced_axis(), sampling=Sampling(1000.0), trace=Trace())
+    assert tuning.identify_controller(axis, trace).axis is None
+
+
+def test_checks_say_where_a_log_has_another_controller(trace):
+    today = replace(TRACE, kp=0.9 * TRACE.kp).log(SECONDS, seed=3, name="today")
+    ((log, finding),) = controller_findings(traced_axis(), [trace, today])
+    assert log == "today"
+    assert finding.severity == "warning"
+    assert finding.message == "K_v is 50 1/s in before, 45 1/s in today"
+    ((log, _),) = controller_findings(traced_axis(), [today], before=[trace])
+    assert log == "today"
+
+
+def test_checks_say_where_a_log_has_another_controller_than_the_drive_file(trace):
+    cascade = Cascade(kp=60.0, kv=TRACE.kv, reset_time=TRACE.reset_time, velocity_samples=2)
+    ((log, finding),) = controller_findings(replace(traced_axis(), controller=cascade), [trace])
+    assert (log, finding.message) == ("before", "K_v is 50 1/s in before, 60 1/s in the drive file")
+    filtered = replace(cascade, velocity_filter_time=1e-3)
+    assert not list(controller_findings(replace(traced_axis(), controller=filtered), [trace]))
+
+
+def test_checks_say_nothing_of_one_controller_and_of_no_reference(trace):
+    again = TRACE.log(SECONDS, seed=4, name="again")
+    assert not list(controller_findings(traced_axis(), [trace, again]))
+    assert not list(controller_findings(traced_axis(), [trace.replace(reference=None)]))
+
+
+def test_a_command_that_no_cascade_explains_is_compared_with_none(trace):
+    time = trace.time
+    odd = trace.replace(command=trace.command + 100.0 * np.sin(40.0 * time + 3.0 * np.sin(5.0 * time)))
+    today = replace(TRACE, kp=0.5 * TRACE.kp).log(SECONDS, seed=3, name="today")
+    found = tuning.identify_controller(None, [odd, today])
+    assert found.differences == ()
+    assert any("a cascade does not explain the command" in note for note in found.notes)
 
 
 @pytest.mark.long
