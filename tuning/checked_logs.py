@@ -13,6 +13,7 @@ from diffdrive.logs.checks.examine import Finding, examine, examine_together
 from diffdrive.logs.mapping import matches_log
 from diffdrive.support.messages import suggestion
 from diffdrive.support.rates import CLOCK_TOLERANCE, is_same_rate
+from tuning.identification.controller.findings import controller_findings
 from tuning.identification.problem import MIN_LANE_SAMPLES
 
 
@@ -117,6 +118,7 @@ def check_logs(
         (f"{len(checked_before) + len(logs)} logs", finding)
         for finding in examine_together([*checked_before, *logs], axis)
     ]
+    found += controller_findings(axis, logs, checked_before)
     return CheckedLogs(tuple(logs), tuple(found))
 
 

@@ -32,6 +32,14 @@ def check(
     unit: Units = None,
     shift: Shifts = None,
     load: Loads = None,
+    controller: Annotated[
+        bool,
+        typer.Option(
+            "--controller",
+            help="Print the gains of the position and speed cascade that made the commands, with 95 % intervals; with "
+            "--out, write the drive file with them, controller.toml.",
+        ),
+    ] = False,
     svg: Svg = False,
 ) -> None:
     """Check logs before use: channels, units, repairs, and faults that would bias a fit.
@@ -43,7 +51,11 @@ def check(
     """
     from experiments.reports.log_checks import check_logs
 
-    if not check_logs(log, drive, out, columns=column or (), units=unit or (), shifts=shift or (), loads=load or ()):
+    usable = check_logs(
+        log, drive, out, columns=column or (), units=unit or (), shifts=shift or (), loads=load or (),
+        controller=controller,
+    )  # fmt: skip
+    if not usable:
         raise typer.Exit(3)
 
 

@@ -8,8 +8,10 @@ import numpy as np
 from diffdrive.logs.checks.encoders import compared
 from diffdrive.logs.log import CHANNELS, Log
 from experiments.reports.checked_logs import EXTRA, axis_with_overrides, parse_loads, read_and_check
+from experiments.reports.controller import report_controller
 from experiments.reports.encoders import report_encoders
 from experiments.reports.report import Report
+from tuning.identification.controller.workflow import identify_controller
 
 SMOOTH = 5e-3  # s, over which a speed is taken
 
@@ -23,10 +25,12 @@ def check_logs(
     units: Sequence[str] = (),
     shifts: Sequence[str] = (),
     loads: Sequence[str] = (),
+    controller: bool = False,
 ) -> bool:
     """Whether nothing fatal was found in any log.
 
-    `columns`, `units`, `shifts` and `loads` are texts as on the command line. Raises `DriveFileError`, `LogError` and
+    `columns`, `units`, `shifts` and `loads` are texts as on the command line. With `controller`, the gains of the
+    cascade that made the commands are printed, too. Raises `DriveFileError`, `LogError` and
     `ParameterError`, one line each.
     """
     description = axis_with_overrides(drive, columns, units, shifts, paths)
@@ -49,6 +53,10 @@ def check_logs(
         report.show("What the logs hold", (*names[:3], "length, s", *names[4:8], "largest command N", names[9]), rows)
         comparisons = [compared(log, description) for log in checked.logs]
         report_encoders(report, [one for one in comparisons if one is not None])
+        if controller:
+            with report.working("fitting the controller"):
+                estimate = identify_controller(description, list(checked.logs))
+            report_controller(report, estimate)
     return not fatal
 
 

@@ -9,6 +9,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.logs.encoders.result import EncoderComparison
 from diffdrive.loop.run import Run
 from diffdrive.results import Result
+from experiments.reports.controller import report_controller
 from experiments.reports.diagnosis.figures import save_diagnosis_figures
 from experiments.reports.diagnosis.files import write_augmented, write_reference
 from experiments.reports.diagnosis.page import print_answers, write_page
@@ -21,6 +22,7 @@ from experiments.reports.tuning import report_pareto, report_tuning
 from tuning.diagnosis.workflow import DiagnosisResult
 from tuning.gains.pareto import ParetoFront
 from tuning.gains.result import TuningResult
+from tuning.identification.controller.workflow import ControllerEstimate
 from tuning.identification.workflow import IdentificationResult
 from tuning.sweeps.result import SweepResult
 
@@ -70,6 +72,11 @@ def _(result: Run, writer: Report) -> None:
 @section.register
 def _(result: EncoderComparison, writer: Report) -> None:
     report_encoders(writer, [result])
+
+
+@section.register
+def _(result: ControllerEstimate, writer: Report) -> None:
+    report_controller(writer, result)
 
 
 @section.register
