@@ -4,13 +4,13 @@ The loop is its own: NumPy alone, a mass with viscous and Coulomb friction, step
 """
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from diffdrive.logs import Log
-from tuning.identification.controller.compare import differences
+from tuning.identification.controller.compare import differences, needed
 from tuning.identification.controller.gains import Gain, gains_of, pooled
 from tuning.identification.controller.workflow import identify_controller
 
@@ -109,13 +109,18 @@ def random_cascade(seed: int) -> NaiveCascade:
 
 @dataclass(frozen=True)
 class Row:
-    """One cascade: its truth, its gains, and whether changes of `CHANGES` were found between two logs."""
+    """One cascade: its truth, its gains, and whether changes of `CHANGES` were found between two logs.
+
+    `permitted` says whether the intervals of the two logs permit it: a change of 10 % is then missed by chance in one
+    of forty.
+    """
 
     seed: int
     cascade: NaiveCascade
     gains: tuple[Gain, ...]
     alarm: str  # a difference between two logs of one controller, in words; empty where none was found
     found: tuple[bool, ...]
+    permitted: tuple[bool, ...]
 
     def relative(self, name: str) -> tuple[float, float, float]:
         """Error of a gain, and the ends of its interval, relative to the truth."""
@@ -125,6 +130,8 @@ class Row:
 
 
 CHANGES = ("kp", "kv", "reset_time")
+NEAR = 0.02  # half of an interval that shows a gain
+CHANGE = 1.1  # of one gain
 SHOWN = ("K_v", "the velocity gain", "the reset time")
 
 
@@ -132,7 +139,7 @@ def study(cascades: int, seconds: float = 5.0) -> Iterator[Row]:
     """Each random cascade: two logs of it, and one of each change of a gain by 10 %."""
     for seed in range(cascades):
         cascade = random_cascade(seed)
-        changed = [replace(cascade, **{name: 1.1 * getattr(cascade, name)}) for name in CHANGES]
+        changed = [replace(cascade, **{name: CHANGE * getattr(cascade, name)}) for name in CHANGES]
         machines = [cascade, cascade, *changed]
         logs = [one.log(seconds, seed=1000 + 10 * seed + k, name=f"log {k}") for k, one in enumerate(machines)]
         first, second, *others = [
@@ -143,24 +150,52 @@ def study(cascades: int, seconds: float = 5.0) -> Iterator[Row]:
             any(one.name == shown for one in differences(first, other, ("log 0", "changed")))
             for shown, other in zip(SHOWN, others, strict=True)
         )
-        yield Row(seed, cascade, gains_of(pooled([first, second])), alarm, found)
+        change = np.array([np.log(CHANGE), np.log(CHANGE), (1.0 - 1.0 / CHANGE) / cascade.reset_time])
+        permitted = tuple(bool(change[k] > needed(first, other, missed=0.025)[k]) for k, other in enumerate(others))
+        yield Row(seed, cascade, gains_of(pooled([first, second])), alarm, found, permitted)
+
+
+def _changes(row: Row) -> str:
+    """Of each change: y where it was found, n where it was missed, - where the intervals do not permit it."""
+    return "".join("y" if found else "n" if due else "-" for found, due in zip(row.found, row.permitted, strict=True))
+
+
+def _summary(rows: Sequence[Row]) -> str:
+    errors = np.array([[row.relative(name) for name in CHANGES] for row in rows])
+    value, low, high = np.moveaxis(errors, 2, 0)
+    covered = (low <= 0.0) & (high >= 0.0)
+    shown = high - low < 2.0 * NEAR
+    found, due = np.array([row.found for row in rows]), np.array([row.permitted for row in rows])
+    return "; ".join(
+        [
+            f"{len(rows)} cascades: {np.sum(covered)} of {covered.size} intervals hold the truth",
+            f"{np.sum(shown)} have ends within {100 * NEAR:g} % of their middle",
+            f"the largest error of these is {100 * np.max(np.abs(value[shown])):.2f} %",
+            f"{np.sum(found & due)} of {np.sum(due)} changes that intervals permit were found",
+            f"{np.sum(found & ~due)} of {np.sum(~due)} others",
+            f"{sum(bool(row.alarm) for row in rows)} of {len(rows)} pairs without a change were said to differ",
+        ]
+    )
 
 
 def main() -> None:
     """Print a line for each cascade."""
     cascades = int(sys.argv[1]) if len(sys.argv) > 1 else 50
+    rows: list[Row] = []
     for row in study(cascades):
+        rows.append(row)
         cascade = row.cascade
         errors = "  ".join(
-            f"{name} {100 * error:+6.2f} ({100 * low:+6.2f} {100 * high:+6.2f})"
+            f"{name} {100 * error:+7.3f} ({100 * low:+7.3f} {100 * high:+7.3f})"
             for name in CHANGES
             for error, low, high in [row.relative(name)]
         )
         print(
             f"{row.seed:2d} ratio {cascade.ratio} ff {cascade.velocity_feedforward:.2f} s {cascade.velocity_samples}  "
-            f"{errors}  found {''.join('y' if one else 'n' for one in row.found)}  {row.alarm}",
+            f"{errors}  found {_changes(row)}  {row.alarm}",
             flush=True,
         )
+    print(_summary(rows))
 
 
 if __name__ == "__main__":

@@ -69,19 +69,25 @@ def differences(
 
     What is the same but for `SMALLEST` shows a difference in a share `false_alarm` of the comparisons, or fewer.
     """
-    distance = np.abs(one.values - other.values)
-    deviation = np.sqrt(np.diag(one.covariance + other.covariance))
-    critical = float(student.isf(0.5 * false_alarm / len(PARTS), min(one.freedom, other.freedom)))
+    distance, least = np.abs(one.values - other.values), needed(one, other, false_alarm)
     found = [
         Difference(shown.name, shown.unit, (shown.value(one.values[k]), shown.value(other.values[k])), sources)
         for k, shown in enumerate(_SHOWN)
-        if distance[k] - _smallest(one, other)[k] > critical * deviation[k]
+        if distance[k] > least[k]
     ]
     # the following error per speed is K_v and the feed-forward once more
     named = {difference.name for difference in found}
     if named & {"K_v", "the velocity feed-forward"}:
         found = [difference for difference in found if difference.name != "the following error per speed"]
     return tuple(found)
+
+
+def needed(one: Parts, other: Parts, false_alarm: float = FALSE_ALARM, missed: float = 0.5) -> np.ndarray:
+    """How far each of `PARTS` must change to be said to differ, but for a share `missed` of the changes."""
+    deviation = np.sqrt(np.diag(one.covariance + other.covariance))
+    freedom = min(one.freedom, other.freedom)
+    quantiles = student.isf(0.5 * false_alarm / len(PARTS), freedom) + student.isf(missed, freedom)
+    return _smallest(one, other) + float(quantiles) * deviation
 
 
 def _smallest(one: Parts, other: Parts) -> np.ndarray:

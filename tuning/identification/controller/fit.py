@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from tuning.identification.controller.law import Law, Reading, coefficients
 from tuning.identification.controller.moments import Moments, moments
-from tuning.identification.controller.search import Problem, Solution, solve, weights
+from tuning.identification.controller.search import LOG_GAIN, Problem, Solution, solve, weights
 from tuning.identification.controller.signals import Condition, Equation
 
 DELETED_STEPS = 6  # from the solution with all blocks, which is near
@@ -52,6 +52,11 @@ class Candidate:
     def cost(self) -> float:
         """Sum of squares of the moments, in units of their noise."""
         return self.solution.cost
+
+    @property
+    def gain(self) -> float:
+        """The velocity gain with half a period of the integral, K (N s/m)."""
+        return float(np.exp(self.solution.point[LOG_GAIN]))
 
     @property
     def birge(self) -> float:

@@ -11,13 +11,22 @@ from diffdrive.logs import Log
 from tuning.identification.controller.fit import Candidate, LawFit, search_law, with_covariance
 from tuning.identification.controller.law import Reading
 from tuning.identification.controller.moments import left_free
-from tuning.identification.controller.signals import Equation, every_sample, pieces, position_noise, snapshots
+from tuning.identification.controller.signals import (
+    AROUND,
+    DIFFERENCES,
+    Equation,
+    every_sample,
+    pieces,
+    position_noise,
+    snapshots,
+)
 
 SAMPLES = range(1, 9)  # over which a velocity is differenced
 DELAYS = range(-1, 4)  # rows from computing a command to logging it
 SNAPSHOT_DELAYS = (-1, 0, 1)
 CONVINCED = 15.1  # of chi squared with one degree of freedom: a chance of 1e-4 that noise alone shows so much
 LAG = 5  # of the regressors of every sample: how reference and measured velocity differ, whose coefficient is the gain
+SAME = 5.0  # standard deviations
 TRIED_ROWS = 8_000  # of a log, from which it is told how to read it: noise of so many rows is known to a hundredth
 
 
@@ -80,39 +89,46 @@ def _busiest(log: Log, found: list[slice]) -> slice:
 
 
 def _every_sample(log: Log, part: slice) -> tuple[_Choice, Candidate] | None:
-    """With the samples and the delay that leave least before any law binds; the law then says how r' is taken.
+    """With the samples and the delay that leave least; the law also says how r' and r'' are taken.
 
     None where the noise of the position is left. Of snapshots the older sample of each velocity is not in the log, so
     that its noise is, gain times noise over time. Of every sample only rounding is: half of that variance is between.
     """
-    noise = position_noise(log, [part])
-    longest, (first, last) = SAMPLES[-1], (DELAYS[0], DELAYS[-1])
-    rows = slice(part.start - first, part.stop - last)
-    commands = np.stack([log.command[rows.start + delay : rows.stop + delay] for delay in DELAYS], axis=1)
-    left, gains = [], []
-    for samples in SAMPLES:
-        columns = every_sample(log, part, samples, 0, backward=False).regressors
-        first_row = part.start + samples  # of the columns, which end a row before the part does
-        used = slice(rows.start + longest, rows.stop - 1)
-        columns = columns[used.start - first_row : used.stop - first_row]
-        columns = columns - columns.mean(axis=0)
-        command = commands[used.start - rows.start : used.stop - rows.start]
-        command = command - command.mean(axis=0)
-        left.append(left_free(columns, command))
-        gains.append(np.linalg.lstsq(columns, command[:, int(np.argmin(left[-1]))])[0][LAG])
-    best = int(np.argmin([one.min() for one in left]))
-    samples, delay = SAMPLES[best], DELAYS[int(np.argmin(left[best]))]
-    allowed = np.sqrt(0.5) * abs(gains[best]) * noise * log.rate / samples
-    if left[best].min() > allowed:
-        return None
+    noise = position_noise(log, [part]) * log.rate
     found: list[tuple[_Choice, Candidate]] = []
-    for backward in (True, False):
-        equation = partial(every_sample, samples=samples, delay=delay, backward=backward)
-        choice = _Choice(Reading.EVERY_SAMPLE, equation, samples)
-        candidate = choice.search(log, part)
-        if candidate is not None and candidate.residual < allowed:
-            found.append((choice, candidate))
+    for samples, delay, gain, left in _least_left(log, part):
+        if left > np.sqrt(0.5) * abs(gain) * noise / samples:
+            continue
+        for differences in DIFFERENCES:
+            equation = partial(every_sample, samples=samples, delay=delay, differences=differences)
+            choice = _Choice(Reading.EVERY_SAMPLE, equation, samples)
+            candidate = choice.search(log, part)
+            if candidate is not None and candidate.residual < np.sqrt(0.5) * candidate.gain * noise / samples:
+                found.append((choice, candidate))
     return min(found, key=lambda one: one[1].residual, default=None)
+
+
+def _least_left(log: Log, part: slice) -> list[tuple[int, int, float, float]]:
+    """Samples, delay, gain and what is left of those that leave least before any law binds.
+
+    Several may leave the same: with coefficients that are free, the integral of a velocity over two samples has the
+    position between. What differs by less than the scatter of a root mean square of so many rows is the same.
+    """
+    longest, (first, last) = SAMPLES[-1], (DELAYS[0], DELAYS[-1])
+    rows = slice(part.start - first + longest, part.stop - last - AROUND)
+    commands = np.stack([log.command[rows.start + delay : rows.stop + delay] for delay in DELAYS], axis=1)
+    commands = commands - commands.mean(axis=0)
+    tried: list[tuple[int, int, float, float]] = []
+    for samples in SAMPLES:
+        columns = every_sample(log, part, samples, 0).regressors
+        begin = rows.start - part.start - max(samples, AROUND)  # of the columns, which begin that late in the part
+        columns = columns[begin : begin + len(commands)]
+        columns = columns - columns.mean(axis=0)
+        left = left_free(columns, commands)
+        gains = np.linalg.lstsq(columns, commands)[0][LAG]
+        tried += [(samples, delay, *pair) for delay, *pair in zip(DELAYS, gains.tolist(), left.tolist(), strict=True)]
+    least = min(left for *_, left in tried) * (1.0 + SAME / np.sqrt(2.0 * len(commands)))
+    return [one for one in tried if one[-1] <= least]
 
 
 def _snapshots(log: Log, part: slice) -> _Choice:

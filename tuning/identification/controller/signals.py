@@ -82,17 +82,35 @@ def _clipped(command: Float[np.ndarray, " n"]) -> np.ndarray:
     return clipped
 
 
-def every_sample(log: Log, piece: slice, samples: int, delay: int, *, backward: bool) -> Equation:
-    """Each row as one period: velocity over `samples` rows, the command logged `delay` rows after its own.
+class Differences(NamedTuple):
+    """How velocity and acceleration of the reference are taken: weights of two rows before to two rows after."""
 
-    The reference's velocity is its backward difference, or its central one, which is the analytic one to the jerk.
-    """
+    speed: tuple[float, ...]
+    acceleration: tuple[float, ...]
+
+
+BACKWARD, CENTRAL = (0.0, -1.0, 1.0, 0.0, 0.0), (0.0, -0.5, 0.0, 0.5, 0.0)
+COMPACT = (0.0, 1.0, -2.0, 1.0, 0.0)
+DIFFERENCES = (
+    Differences(CENTRAL, COMPACT),  # nearest to an analytic profile
+    Differences(CENTRAL, (0.25, 0.0, -0.5, 0.0, 0.25)),  # each once more of the one before
+    Differences(BACKWARD, (1.0, -2.0, 1.0, 0.0, 0.0)),
+    Differences(BACKWARD, COMPACT),
+)
+AROUND = 2  # rows that these take on either side
+
+
+def every_sample(
+    log: Log, piece: slice, samples: int, delay: int, differences: Differences = DIFFERENCES[0]
+) -> Equation:
+    """Each row as one period: velocity over `samples` rows, the command logged `delay` rows after its own."""
     period = 1.0 / log.rate
     r, y = log.reference[piece], log.position[piece]  # type: ignore[index]  # asked for before
-    n = np.arange(max(samples, 1), len(r) - max(delay, 0) - 1)
+    n = np.arange(max(samples, AROUND), len(r) - max(delay, 0) - AROUND)
     n = n[n + delay >= 0]
     error = r - y
-    speed = (r[n] - r[n - 1]) / period if backward else (r[n + 1] - r[n - 1]) / (2.0 * period)
+    near = (r - r[0])[n[:, None] + np.arange(-AROUND, AROUND + 1)]
+    speed = near @ np.array(differences.speed) / period
     lag = speed - (y[n] - y[n - samples]) / (samples * period)
     columns = np.stack(
         [
@@ -100,7 +118,7 @@ def every_sample(log: Log, piece: slice, samples: int, delay: int, *, backward: 
             integral(error[n], period),
             speed,
             integral(speed, period),
-            (r[n + 1] - 2.0 * r[n] + r[n - 1]) / period**2,
+            near @ np.array(differences.acceleration) / period**2,
             lag,
             integral(lag, period),
         ],
