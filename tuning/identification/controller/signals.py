@@ -20,17 +20,19 @@ from diffdrive.logs import Log
 Rows = Float[np.ndarray, "n k"]
 
 STENCIL = np.arange(-2, 3)  # rows of a regressor: a quartic through five is exact to the jerk's derivative
-OUTER = np.array([-8, -7, -6, -5, -4, -3, 3, 4, 5, 6, 7, 8])  # rows that tell motion from noise: none of a regressor's
+# rows that tell motion from noise: none of those from which the noise of the row is taken
+OUTER = np.array([-9, -8, -7, -6, -5, -4, 4, 5, 6, 7, 8, 9])
 OUTER_DEGREE = 5  # of the polynomial through them
 SLOW = 4  # rows on either side
 # Half of what has a period of ten rows passes, nothing of what has five or less: a quartic's derivatives are exact to
 # (2 pi / 10)^4 / 30, half a per cent, there, and what rows fold down from above their own rate is faster by nine times
 LOW_PASS = np.hanning(2 * SLOW + 3)[1:-1] / np.sum(np.hanning(2 * SLOW + 3))
-NOISE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # the row minus the cubic through its four neighbours
+# the row minus the quintic through its six neighbours: it leaves (2 pi / 10)^6 / 20 of motion at ten rows a period
+NOISE = np.array([-1.0, 6.0, -15.0, 20.0, -15.0, 6.0, -1.0]) / 20.0
 NORMAL_MEDIAN = 0.6745  # of the magnitude of a standard normal number
 CALM = 16  # rows on either side
 SAMPLES_TO_A_ROW = 16  # of the controller, at most
-MARGIN = 8  # rows at each end of a piece that have not all of `OUTER`
+MARGIN = 9  # rows at each end of a piece that have not all of `OUTER`
 MIN_ROWS = 64  # a piece with fewer rows than four times both margins shows less than it costs: a constant of its own
 HELD_ROWS = 3  # a command that stands at its extreme for so long is clipped: noise moves an unclipped one
 
@@ -141,7 +143,8 @@ def snapshots(log: Log, piece: slice, delay: int, noise: float) -> Equation:
     near = _columns(_derivatives(r, STENCIL, 4, period), _derivatives(y, STENCIL, 4, period), summed)
     commands = u[np.arange(MARGIN, len(r) - MARGIN)[:, None] + STENCIL + delay]
     taps = _noise_taps(period)
-    own = np.convolve(y - y[0], NOISE, "valid")[MARGIN - 2 : len(r) - MARGIN - 2]
+    reach = len(NOISE) // 2
+    own = np.convolve(y - y[0], NOISE, "valid")[MARGIN - reach : len(r) - MARGIN - reach]
     clean = np.column_stack([near - own[:, None] * taps[len(STENCIL) // 2], own])
     smooth = _derivatives(y, OUTER, OUTER_DEGREE, period)
     moving = period * np.abs(smooth[1]) > SAMPLES_TO_A_ROW * _quantum(y)
@@ -214,14 +217,15 @@ def position_noise(log: Log, found: Sequence[slice]) -> float:
 def _where_calm(noise: Float[np.ndarray, " n"], moving: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """The noise where the motion is slow enough to leave it alone, zero elsewhere.
 
-    Reversals and vibrations are in it, too, a hundred times larger. The root mean square over 33 rows of white noise
-    scatters by an eighth, so what is twice that of the calmest quarter is none. Of an axis that stands, the rounding of
+    Reversals and vibrations are in it, too, up to a hundred times larger. The root mean square over 33 rows of white
+    noise scatters by an eighth: the calmest quarter lies two thirds of that below its mean, and three of it above the
+    mean are 1.5 times as much. Of an axis that stands, the rounding of
     successive samples is one and the same, and shows no window of a velocity: it must move by a count to a sample.
     """
     if not moving.any():
         return np.zeros(len(noise))
     local = np.sqrt(np.convolve(noise**2, np.ones(2 * CALM + 1) / (2 * CALM + 1), "same"))
-    return np.where(moving & (local <= 2.0 * np.quantile(local[moving], 0.25)), noise, 0.0)
+    return np.where(moving & (local <= 1.5 * np.quantile(local[moving], 0.25)), noise, 0.0)
 
 
 def _quantum(position: Float[np.ndarray, " n"]) -> float:
