@@ -66,6 +66,7 @@ LAYERS = (
         "motion.reference",
         "logs.checks",
         "logs.encoders",
+        "logs.guess",
     ),
 )
 UPWARDS = {  # the imports that may go the other way: of a type alone, or where a method is called

@@ -9,6 +9,7 @@ from .identification.controller.workflow import ControllerEstimate, identify_con
 from .identification.workflow import IdentificationResult, identify
 from .sweeps.result import SweepResult
 from .sweeps.workflow import sweep
+from .unknown_trace.workflow import StartResult, start
 
 __all__ = [
     "AsGiven",
@@ -20,6 +21,7 @@ __all__ = [
     "ParetoFront",
     "ParetoPoint",
     "Requirements",
+    "StartResult",
     "SweepResult",
     "TuningResult",
     "diagnose",
@@ -28,6 +30,7 @@ __all__ = [
     "pareto_front",
     "propose_notch",
     "register_aggregation",
+    "start",
     "sweep",
     "tune",
 ]

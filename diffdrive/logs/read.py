@@ -87,8 +87,13 @@ def read_log(
     name = name or ("log" if file is None else file.stem)
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise LogError(f"{name if file is None else source}: the rate must be positive and finite, in Hz, got {rate!r}")
-    table = _table_from_memory(source, name) if file is None else read_table(file)
+    table = table_of(source, name)
     return _log_from_table(table, Path(name) if file is None else file, name, mapping, rate)
+
+
+def table_of(source: object, name: str = "log") -> Table:
+    """The columns of a file, a data frame or a dict of arrays, as they are; `name` is what errors call the latter."""
+    return read_table(source) if isinstance(source, str | Path) else _table_from_memory(source, name)
 
 
 def _table_from_memory(source: object, name: str) -> Table:

@@ -14,7 +14,7 @@ from diffdrive.logs.formats.table import Table
 from diffdrive.logs.log import READABLE
 from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.model.data_sheet import DataSheet
-from diffdrive.support.messages import quoted_names
+from diffdrive.support.messages import option_text, quoted_names
 
 
 def select(table: Table, mapping: ColumnMapping) -> tuple[dict[str, np.ndarray], Conversion, list[str]]:
@@ -48,7 +48,7 @@ def select(table: Table, mapping: ColumnMapping) -> tuple[dict[str, np.ndarray],
 
 def _assign_columns(table: Table, mapping: ColumnMapping) -> dict[str, str]:
     chosen = {
-        channel: _mapped_column(table, channel, column, mapping.sheet) for channel, column in mapping.columns.items()
+        channel: column_named(table, channel, column, mapping.sheet) for channel, column in mapping.columns.items()
     }
     for channel, declaration in READABLE.items():
         if channel in chosen:
@@ -87,8 +87,7 @@ def _skipped_hint(table: Table, wanted: str) -> str:
 
 def _option(channel: str, column: str) -> str:
     """The command-line option that assigns the column."""
-    assignment = f"{channel}={column}"
-    return f"--column {assignment}" if re.fullmatch(r"[\w.=/-]+", assignment) else f'--column "{assignment}"'
+    return option_text("column", f"{channel}={column}")
 
 
 def _require_no_unmapped_time(table: Table, taken: list[str]) -> None:
@@ -108,7 +107,8 @@ def _require_no_unmapped_time(table: Table, taken: list[str]) -> None:
             )
 
 
-def _mapped_column(table: Table, channel: str, column: str, sheet: DataSheet) -> str:
+def column_named(table: Table, channel: str, column: str, sheet: DataSheet) -> str:
+    """The column that a mapping's text names, in full or in part; raises `LogError` for none, and for several."""
     matches = _matching_columns(list(table.columns), column, channel, sheet, exact=True)
     if len(matches) == 1:
         return matches[0]

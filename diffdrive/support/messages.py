@@ -1,6 +1,7 @@
 """User input in messages: on one line, of bounded length, and without control characters."""
 
 import difflib
+import re
 import reprlib
 import unicodedata
 from collections.abc import Collection
@@ -58,3 +59,8 @@ def quoted_names(names: Collection[str], wanted: str = "", noun: str = "names") 
         return f"{len(names)} {noun}; near '{shortened(wanted)}' are {quoted_names(near)}"
     first = [name for name, _ in zip(names, range(2 * NEAREST), strict=False)]
     return f"{len(names)} {noun}, {quoted_names(first)} and {len(names) - len(first)} more"
+
+
+def option_text(name: str, value: str) -> str:
+    """A command-line option with its value, in quotes where a shell needs them."""
+    return f"--{name} {value}" if re.fullmatch(r"[\w.=/-]+", value) else f'--{name} "{value}"'

@@ -1,4 +1,4 @@
-"""The commands that take logs: check, identify, diagnose."""
+"""The commands that take logs: start, check, identify, diagnose."""
 
 from pathlib import Path
 from typing import Annotated
@@ -21,6 +21,64 @@ from experiments.cli.options import (
 )
 
 logs = typer.Typer()
+
+
+@logs.command(cls=Computing)
+def start(
+    log: Annotated[
+        Path,
+        typer.Argument(
+            help="A trace of the axis, of any format that logs may have.", metavar="LOG", show_default=False
+        ),
+    ],
+    drive: Annotated[
+        Path, typer.Option("--drive", help="Drive file to write; one that exists is never overwritten.")
+    ] = Path("drive.toml"),
+    mass: Annotated[
+        str | None,
+        typer.Option(help="Moving mass, motor and screw included: `500kg`; of a rotary axis its inertia, `0.5kg*m^2`."),
+    ] = None,
+    lead: Annotated[
+        str | None, typer.Option(help="Travel per turn of the screw, where a column is in units of the motor: `10mm`.")
+    ] = None,
+    gear_ratio: Annotated[str | None, typer.Option(help="Turns of the motor per turn of the screw or table.")] = None,
+    rated_torque: Annotated[
+        str | None, typer.Option(help="Of the motor, where the command is in per cent of it: `5Nm`.")
+    ] = None,
+    rated_current: Annotated[str | None, typer.Option(help="Of the motor: `4A`.")] = None,
+    torque_constant: Annotated[
+        str | None, typer.Option(help="Of the motor, where the command is a current: `1.2N*m/A`.")
+    ] = None,
+    encoder_counts: Annotated[
+        str | None,
+        typer.Option(help="Counts of the motor's encoder per turn of the motor, where a position is in counts."),
+    ] = None,
+    kind: Annotated[str, typer.Option(help="Of the axis: linear or rotary.")] = "linear",
+    rate: Annotated[str | None, typer.Option(help="Rate of the rows, where no column is a time: `1kHz`.")] = None,
+    out: Out = None,
+    column: Columns = None,
+    unit: Units = None,
+) -> None:
+    """Begin with nothing but a trace: write a drive file with its columns, units, signs and a first guess of friction.
+
+    Each guess is said with its reason and how sure it is. What cannot be guessed is asked, at a terminal; elsewhere the
+    command is refused in one line that names the options. Then the log is checked with the new drive file, and the next
+    command is printed: `identify`. Ends with code 3 where a finding is fatal.
+
+    Example: `diffdrive start trace.csv --mass 500kg --lead 10mm --rated-torque 5Nm`
+    """
+    import sys
+
+    from experiments.reports.start import start_from_trace
+
+    numbers = {
+        "mass": mass, "lead": lead, "gear_ratio": gear_ratio, "rated_torque": rated_torque,
+        "rated_current": rated_current, "torque_constant": torque_constant, "encoder_counts": encoder_counts,
+        "kind": kind, "rate": rate,
+    }  # fmt: skip
+    ask = (lambda question: typer.prompt(question.prompt)) if sys.stdin.isatty() else None
+    if not start_from_trace(log, drive, out, columns=column or (), units=unit or (), numbers=numbers, ask=ask):
+        raise typer.Exit(3)
 
 
 @logs.command(cls=Computing)

@@ -37,26 +37,26 @@ def mapping_with_options(
     mapping: ColumnMapping, columns: Sequence[str] = (), units: Sequence[str] = (), shifts: Sequence[str] = ()
 ) -> ColumnMapping:
     """The mapping with `--column reference=qg`, `--unit command=V` and `--shift command=-1` over its own."""
-    new_shifts = {key: _samples(key, text) for key, text in _assignments(shifts, "--shift").items()}
-    return mapping.overridden(_assignments(columns, "--column"), _assignments(units, "--unit"), new_shifts)
+    new_shifts = {key: _samples(key, text) for key, text in assignments(shifts, "--shift").items()}
+    return mapping.overridden(assignments(columns, "--column"), assignments(units, "--unit"), new_shifts)
 
 
 _EXAMPLE_OF = {"--column": "reference=qg", "--unit": "command=V", "--shift": "command=-1"}
 
 
-def _assignments(texts: Sequence[str], option: str) -> dict[str, str]:
+def assignments(texts: Sequence[str], option: str) -> dict[str, str]:
     """Values by channel from `CHANNEL=VALUE`."""
-    assignments: dict[str, str] = {}
+    values: dict[str, str] = {}
     for text in texts:
         # at the sign that is no part of a log's name, or of a unit or a column
         parts = text.rpartition("=") if option == "--shift" else text.partition("=")
         channel, equals, value = (part.strip() for part in parts)
         if not (channel and equals and value):
             raise LogError(f"{option} {text}: write CHANNEL=VALUE, such as {_EXAMPLE_OF[option]}")
-        if channel in assignments:
+        if channel in values:
             raise LogError(f"{option} {text}: {channel} is given twice")
-        assignments[channel] = value
-    return assignments
+        values[channel] = value
+    return values
 
 
 def _samples(channel: str, text: str) -> int:
@@ -93,19 +93,20 @@ def read_and_check(
         unused = [channel for channel in EXTRA if channel not in used and getattr(log, channel) is not None]
         if unused:
             report.say(f"{log.name}: {', '.join(unused)}: read and checked, but not used.")
-    if found:
-        report.record(
-            name,
-            ("log", "severity", "channel", "what", "remedy"),
-            [[log, one.severity, one.channel, one.message, one.remedy] for log, one in found],
-        )
-        _list(report, found, f"Findings in {', '.join(log.name for log in logs)}")
+    list_findings(report, name, logs, found)
     return checked
 
 
-def _list(report: Report, found: Sequence[tuple[str, Finding]], title: str) -> None:
+def list_findings(report: Report, name: str, logs: Sequence[Log], found: Sequence[tuple[str, Finding]]) -> None:
     """Findings, the gravest first; a table of sentences would break them into columns of a few words."""
-    report.print(f"\n{title}", style="bold")
+    if not found:
+        return
+    report.record(
+        name,
+        ("log", "severity", "channel", "what", "remedy"),
+        [[log, one.severity, one.channel, one.message, one.remedy] for log, one in found],
+    )
+    report.print(f"\nFindings in {', '.join(log.name for log in logs)}", style="bold")
     for log, one in sorted(found, key=lambda item: SEVERITIES.index(item[1].severity)):
         severity = one.severity.upper() if one.severity == "fatal" else one.severity
         report.print(f"- {severity}: {log}, {one.channel}: {one.message}")

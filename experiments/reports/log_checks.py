@@ -46,7 +46,7 @@ def check_logs(
             )
             found, fatal = checked.findings, checked.fatal
             report.keep("verdict", fatal=len(fatal), findings=len(found))
-            result(_in_words(len(found), len(fatal)))
+            result(findings_in_words(len(found), len(fatal)))
         names = ("log", "samples", "rate Hz", "s", "gaps", "from mm", "to mm", "fastest mm/s", "largest N", "channels")
         rows = [_row(log) for log in checked.logs]
         report.record("logs", names, rows)
@@ -60,7 +60,8 @@ def check_logs(
     return not fatal
 
 
-def _in_words(findings: int, fatal: int) -> str:
+def findings_in_words(findings: int, fatal: int) -> str:
+    """The verdict of a check."""
     if not findings:
         return "No findings: the checks found nothing wrong with the logs."
     if findings == 1:

@@ -1,0 +1,75 @@
+"""The controller of an unknown trace: a cascade, where the log shows its gains and it gives the logged command."""
+
+import warnings
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from diffdrive.axis import Axis
+from diffdrive.controllers.cascade import Cascade
+from diffdrive.errors import DiffdriveError
+from diffdrive.logs import Log
+from diffdrive.logs.checks.consistency import EXPLAINED
+from diffdrive.logs.checks.relation import controller_relation
+from diffdrive.logs.checks.statistics import percent
+from tuning.identification.controller.fit import free_noise
+from tuning.identification.controller.law import Reading
+from tuning.identification.controller.readings import SAMPLES
+from tuning.identification.controller.signals import every_sample, pieces
+from tuning.identification.controller.workflow import ControllerEstimate, identify_controller
+
+ROUNDING = 1e-5  # of the command: what the digits of a log leave
+NO_FEEDFORWARD = 0.02  # share, below which a velocity feed-forward counts as none: what the gains are accurate to
+
+
+class FirstController(NamedTuple):
+    """The cascade (None: unknown), what was estimated, and the sentence that says why."""
+
+    controller: Cascade | None
+    estimate: ControllerEstimate | None
+    why: str
+
+
+def first_controller(log: Log, axis: Axis) -> FirstController:
+    """The log's cascade; unknown where it has no reference, its rows are snapshots, or the cascade does not give it."""
+    if log.reference is None:
+        return FirstController(None, None, "the trace has no reference")
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a search in a log of which nobody said that it has a cascade
+            estimate = identify_controller(None, log)
+    except (DiffdriveError, np.linalg.LinAlgError) as problem:
+        return FirstController(None, None, f"no cascade is seen: {problem}")
+    if estimate.logs[0].reading is not Reading.EVERY_SAMPLE:
+        return FirstController(None, estimate, "the rows are snapshots of a faster loop")
+    if not all(estimate.gain(name).determined for name in ("kp", "kv")):
+        return FirstController(None, estimate, "the trace does not determine the gains")
+    cascade = _cascade(log, estimate)
+    misfit = _misfit(log, axis, cascade)
+    left = f"{percent(misfit)} % of the command" if misfit > ROUNDING else "the rounding of the command"
+    if not misfit < EXPLAINED:
+        return FirstController(None, estimate, f"the cascade with these gains leaves {left}")
+    return FirstController(cascade, estimate, f"this cascade leaves {left}")
+
+
+def _cascade(log: Log, estimate: ControllerEstimate) -> Cascade:
+    """The cascade with the estimated gains, its velocity over the samples that leave least of the command."""
+    kp, kv, ki = (float(f"{estimate.gain(name).value:.6g}") for name in ("kp", "kv", "ki"))
+    forward = estimate.gain("velocity_feedforward").value
+    parts = list(pieces(log))
+    samples = min(SAMPLES, key=lambda n: free_noise([every_sample(log, one, n, 0, backward=False) for one in parts]))
+    return Cascade(
+        kp=kp,
+        kv=kv,
+        ki=ki if estimate.gain("ki").determined else 0.0,
+        velocity_feedforward=0.0 if forward < NO_FEEDFORWARD else float(f"{forward:.4g}"),
+        velocity_samples=samples,
+    )
+
+
+def _misfit(log: Log, axis: Axis, cascade: Cascade) -> float:
+    """What the cascade leaves of the logged command, relative."""
+    relation = controller_relation(log, replace(axis, controller=cascade))
+    replay = None if relation is None else relation.replay_as_logged()
+    return np.inf if replay is None else float(replay[1].error)
