@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive.axis import Axis
+from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.controllers.cascade import Cascade
+from diffdrive.controllers.pd import PD
 from diffdrive.errors import DiffdriveError
 from diffdrive.logs import Log
 from diffdrive.logs.checks.consistency import EXPLAINED
@@ -24,9 +26,9 @@ NO_FEEDFORWARD = 0.02  # share, below which a velocity feed-forward counts as no
 
 
 class FirstController(NamedTuple):
-    """The cascade (None: unknown), what was estimated, and the sentence that says why."""
+    """The cascade or PD (None: unknown), what was estimated, and the sentence that says why."""
 
-    controller: Cascade | None
+    controller: Cascade | PD | None
     estimate: ControllerEstimate | None
     why: str
 
@@ -45,16 +47,25 @@ def first_controller(log: Log, axis: Axis) -> FirstController:
         return FirstController(None, estimate, "the rows are snapshots of a faster loop")
     if not all(estimate.gain(name).determined for name in ("kp", "kv")):
         return FirstController(None, estimate, "the trace does not determine the gains")
-    cascade = _cascade(log, estimate)
-    misfit = _misfit(log, axis, cascade)
+    tried = [(_misfit(log, axis, one), one) for one in _controllers(log, estimate)]
+    misfit, controller = min(tried, key=lambda one: one[0])
     left = f"{percent(misfit)} % of the command" if misfit > ROUNDING else "the rounding of the command"
     if not misfit < EXPLAINED:
-        return FirstController(None, estimate, f"the cascade with these gains leaves {left}")
-    return FirstController(cascade, estimate, f"this cascade leaves {left}")
+        return FirstController(None, estimate, f"a {controller.kind} with the gains that are seen leaves {left}")
+    return FirstController(controller, estimate, f"this {controller.kind} leaves {left}")
+
+
+def _controllers(log: Log, estimate: ControllerEstimate) -> list[Cascade | PD]:
+    """The cascade with the estimated gains, and the PD that it is without an integral and with full feed-forward."""
+    cascade = _cascade(log, estimate)
+    if float(cascade.ki) or abs(float(cascade.velocity_feedforward) - 1.0) > NO_FEEDFORWARD:
+        return [cascade]
+    kp, kd = float(cascade.kp), float(cascade.kv)
+    return [cascade, PD(Tracking(PDGains(kp=float(f"{kp * kd:.6g}"), kd=kd)))]
 
 
 def _cascade(log: Log, estimate: ControllerEstimate) -> Cascade:
-    """The cascade with the estimated gains, its velocity over the samples that leave least of the command."""
+    """Its velocity is differenced over the samples that leave least of the command."""
     kp, kv, ki = (float(f"{estimate.gain(name).value:.6g}") for name in ("kp", "kv", "ki"))
     forward = estimate.gain("velocity_feedforward").value
     parts = list(pieces(log))
@@ -68,8 +79,8 @@ def _cascade(log: Log, estimate: ControllerEstimate) -> Cascade:
     )
 
 
-def _misfit(log: Log, axis: Axis, cascade: Cascade) -> float:
-    """What the cascade leaves of the logged command, relative."""
-    relation = controller_relation(log, replace(axis, controller=cascade))
+def _misfit(log: Log, axis: Axis, controller: Cascade | PD) -> float:
+    """What a controller leaves of the logged command, relative."""
+    relation = controller_relation(log, replace(axis, controller=controller))
     replay = None if relation is None else relation.replay_as_logged()
     return np.inf if replay is None else float(replay[1].error)

@@ -1,4 +1,4 @@
-"""A machine to start from: the mass that is stated, the friction that inverse dynamics shows, and usual values beside."""
+"""A machine to start from: the stated mass, the friction that inverse dynamics shows, and usual values beside."""
 
 from typing import NamedTuple
 

@@ -6,6 +6,7 @@ from dataclasses import fields
 import numpy as np
 import tomli_w
 
+from diffdrive.controllers.pd import PD
 from diffdrive.logs import Log
 from diffdrive.logs.guess.result import Guess
 from diffdrive.logs.guess.trace import TraceGuess
@@ -18,6 +19,7 @@ from tuning.unknown_trace.controller import FirstController
 from tuning.unknown_trace.friction import PRESLIDING, PRESLIDING_ANGLE, FirstMachine
 
 WIDTH = 34  # of key and value, before a comment
+_GAINS = {"kp": "1/s, K_v", "kv": "N s/m, velocity gain", "ki": "N/m", "velocity_feedforward": "share"}
 
 
 def drive_text(source: str, log: Log, trace: TraceGuess, machine: FirstMachine, controller: FirstController) -> str:
@@ -25,8 +27,9 @@ def drive_text(source: str, log: Log, trace: TraceGuess, machine: FirstMachine, 
     reasons = {guess.what: guess for guess in trace.guesses}
     lines = [
         f"# Made by `diffdrive start` from {source}.",
-        "# sure: the file states it, or its names and its numbers agree; likely: one of them; stated: by you; seen: in the",
-        "# log; usual: on machine tools, not in this log. Correct what you know better; `diffdrive identify` does the rest.",
+        "# sure: the file states it, or its names and its numbers agree; likely: one of them; stated: by you;",
+        "# seen: in the log; usual: on machine tools, not in this log. Correct what you know better;",
+        "# `diffdrive identify` does the rest.",
         "",
         *_data_sheet(trace.sheet, reasons),
         *_machine(machine, log, trace),
@@ -47,7 +50,7 @@ def drive_text(source: str, log: Log, trace: TraceGuess, machine: FirstMachine, 
 
 def _line(key: str, value: object, comment: str = "") -> str:
     text = tomli_w.dumps({key: value}).strip()
-    return f"{text:<{WIDTH}}# {printable(comment)}" if comment else text
+    return f"{text:<{WIDTH - 2}}  # {printable(comment)}" if comment else text
 
 
 def _said(guess: Guess | None) -> str:
@@ -82,9 +85,8 @@ def _machine(machine: FirstMachine, log: Log, trace: TraceGuess) -> Iterator[str
     yield _line("mass", float(plant.mass), f"{unit('kg')}, stated{shown}")
     yield _line("damping", 0.0, f"{unit('N*s/m')}, all of it in [friction] viscous")
     constant = float(plant.constant_force)
-    yield _line(
-        "constant_force", constant, f"{unit('N')}, {'seen: a weight, or an offset' if constant else 'none is seen'}"
-    )
+    why = "seen: a weight, an offset, or friction that differs by direction" if constant else "none is seen"
+    yield _line("constant_force", constant, f"{unit('N')}, {why}")
     seen = "usual" if machine.found is None else "seen by inverse dynamics"
     presliding = f"{1e6 * PRESLIDING_ANGLE:g} urad" if sheet.is_rotary else f"{1e6 * PRESLIDING:g} um"
     yield from ("", "[friction]")
@@ -136,22 +138,23 @@ def _controller(found: FirstController) -> Iterator[str]:
         if found.estimate is not None:
             yield "# What a cascade would have, with 95 % intervals (docs/method/controller.md):"
             for gain in found.estimate.gains:
-                if gain.determined and gain.name in ("kp", "kv", "ki", "velocity_feedforward"):
+                if gain.determined and gain.name in _GAINS:
                     unit = "" if gain.unit == "1" else f" {gain.unit}"
                     yield f"# {gain.name} = {gain.value:.4g}  # {gain.low:.4g} to {gain.high:.4g}{unit}"
-    else:
-        cascade, estimate = found.controller, found.estimate
-        assert estimate is not None
-        yield _line("kind", "cascade", f"seen: {found.why}")
-        for name, unit in (
-            ("kp", "1/s, K_v"),
-            ("kv", "N s/m, velocity gain"),
-            ("ki", "N/m"),
-            ("velocity_feedforward", "share"),
-        ):
-            low, high = estimate.interval(name)
-            yield _line(name, float(getattr(cascade, name)), f"{unit}, seen: {low:.4g} to {high:.4g}")
-        yield _line("velocity_samples", cascade.velocity_samples, "seen: what leaves least of the command")
+        yield ""
+        return
+    estimate = found.estimate
+    assert estimate is not None
+    yield _line("kind", found.controller.kind, f"seen: {found.why}")
+    if isinstance(found.controller, PD):
+        yield _line("kp", float(found.controller.tracking.gains.kp), "N/m, seen")
+        yield _line("kd", float(found.controller.tracking.gains.kd), "N s/m, seen")
+        yield ""
+        return
+    for name, unit in _GAINS.items():
+        low, high = estimate.interval(name)
+        yield _line(name, float(getattr(found.controller, name)), f"{unit}, seen: {low:.4g} to {high:.4g}")
+    yield _line("velocity_samples", found.controller.velocity_samples, "seen: what leaves least of the command")
     yield ""
 
 

@@ -235,8 +235,8 @@ def _of_drive(machine: FirstMachine, controller: FirstController, axis: Axis) ->
             else "a hundredth of the largest command, to begin with",
         )
     ]
-    kind = "unknown" if controller.controller is None else "cascade"
-    return [*guesses, Guess("controller", kind, "sure" if kind == "cascade" else "likely", controller.why)]
+    kind = "unknown" if controller.controller is None else controller.controller.kind
+    return [*guesses, Guess("controller", kind, "likely" if kind == "unknown" else "sure", controller.why)]
 
 
 def _of_contradiction(trace: TraceGuess, mass: float) -> list[str]:

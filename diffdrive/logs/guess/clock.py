@@ -16,7 +16,7 @@ from diffdrive.logs.log import Signal
 from diffdrive.support.messages import quoted_names
 
 UNITS = ("s", "ms", "us", "100 ns", "ns")
-# Hz, of the rows of a trace: a control traces in cycles of its position loop, 50 Hz at the slowest, down to those of its
+# Hz, of the rows of a trace: a control traces in cycles of its position loop, 50 Hz at the slowest, to those of its
 # current loop, 50 kHz at the fastest. A step that only one unit puts there is in that unit.
 SLOWEST, FASTEST = 45.0, 55e3
 
@@ -114,8 +114,8 @@ def _rises(table: Table, name: str) -> bool:
 
 def _of_unit(column: str, step: float, fitting: list[str], is_named: bool) -> Question:
     if not is_named:
-        text = f"'{column}' counts rows, or is a time in an unknown unit"
-        return Question("units", "time", text, fitting[0] if fitting else "ms")
+        text = f"'{column}' counts rows, or is a time: say what one step of it is"
+        return Question("units", "time", text, "0.5 ms")
     if not fitting:
         return Question("units", "time", f"the time '{column}' has steps of {step:g} of an unknown unit", "ms")
     rates = " or ".join(f"{one} ({1.0 / (_seconds(one) * step):g} Hz)" for one in fitting)

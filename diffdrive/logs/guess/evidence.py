@@ -1,6 +1,7 @@
 """What the numbers of two columns say of each other: one motion, a velocity of it, a force behind it, feedback."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -55,11 +56,11 @@ class Recording:
         return self.period * float(self._block)  # type: ignore[attr-defined]
 
     def slope(self, name: str, other: str) -> float | None:
-        """By how many units of `name` one unit of `other` goes along, either sign; None where they are not one motion."""
+        """Units of `name` that go along with one of `other`, either sign; None where they are not one motion."""
         return _slope(self.mean(name), self.mean(other))
 
     def slope_of_velocity(self, name: str, position: str) -> float | None:
-        """By how many units of `name` one unit of `position` a second goes along; None where it is no such velocity."""
+        """Units of `name` that go along with one of `position` a second; None where it is no such velocity."""
         if len(self.mean(name)) < 10:
             return None
         speed = derivative(self.mean(position), self.mean_period, 1)
@@ -95,7 +96,7 @@ def recording_of(columns: dict[str, Signal], times: Signal, period: float) -> Re
     for values in usable.values():
         missing |= ~np.isfinite(values)
     edges = np.flatnonzero(np.concatenate([[True], broken[1:] | missing[1:] | missing[:-1], [True]]))
-    start, stop = max(zip(edges[:-1], edges[1:], strict=True), key=lambda ends: ends[1] - ends[0])
+    start, stop = max(pairwise(edges), key=lambda ends: ends[1] - ends[0])
     pieces = {name: values[start:stop] for name, values in usable.items()}
     return Recording(period, {name: values for name, values in pieces.items() if np.ptp(values) > 0})
 

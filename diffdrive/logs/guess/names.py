@@ -33,10 +33,12 @@ _QUANTITIES: dict[Quantity, str] = {
     "current": "current curr strom courant i iq isq amps",
     "load": "load last auslastung utilisation utilization charge",
     "temperature": "temperature temp temperatur",
-    "error": "error err deviation dev lag schlepp schleppabstand schleppfehler fehler abweichung following diff "
+    "error": "error err deviation dev lag schlepp schleppabstand schleppfehler fehler abweichung following "
+    "diff "
     "difference differenz regelabweichung ecart écart contour",
-    "other": "acceleration acc accel beschleunigung jerk ruck power leistung voltage volt spannung tension uq ud id isd "
-    "limit grenze status flag activated override pressure druck integral",
+    "other": "acceleration acc accel beschleunigung jerk ruck power leistung voltage volt spannung tension uq ud id "
+    "limit grenze status flag activated override pressure druck "
+    "integral",
 }
 _ROLES: dict[Role, str] = {
     "set": "set setpoint setp soll sollwert nominal nom cmd command commanded ref reference target desired demand "
@@ -50,7 +52,8 @@ _ENCODERS: dict[Encoder, str] = {
     "2nd second glass",
 }
 _SILENT = (
-    "wert value val values signal sig axis achse axe nck servo data drive contr control controller joint pid axes x y z "
+    "wert value val values signal sig axis achse axe nck servo data drive contr control controller joint pid axes "
+    "x y z "
     "a b c f d g k w 1 2 3 4 5 6 7 8 16 32 64 lreal in out of the de generating momentenbildend momentbildend"
 )
 _LINKS = ("", "s", "en", "n", "er", "e")  # between the words of a German compound

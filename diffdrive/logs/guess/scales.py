@@ -94,8 +94,8 @@ class Trace(NamedTuple):
 def guess_scales(trace: Trace, sheet: DataSheet) -> Scales:
     """What one unit of each column is, or what has to be asked."""
     found = Scales(sheet)
-    motor = _per_unit(trace, _RADIANS, ANGLES)
-    table = _per_unit(trace, DataSheet(kind=sheet.kind), ANGLES if sheet.is_rotary else LENGTHS)
+    motor = _per_unit(trace, _RADIANS, of_motor=True)
+    table = _per_unit(trace, DataSheet(kind=sheet.kind), of_motor=False)
     if table is not None and motor is not None and not sheet.is_rotary:
         _compare_lead(trace, found, table, motor)
     found.sheet = _with_plain_lead(found.sheet)
@@ -118,28 +118,26 @@ def guess_scales(trace: Trace, sheet: DataSheet) -> Scales:
     return found
 
 
-def _per_unit(trace: Trace, sheet: DataSheet, probe: tuple[str, ...]) -> float | None:
-    """What a unit of the position is (m, or rad) by the channels of the motion whose unit is stated; the closest first."""
+def _per_unit(trace: Trace, sheet: DataSheet, *, of_motor: bool) -> float | None:
+    """What a unit of the position is (m, or rad) by the channels of the motion whose unit is stated.
+
+    Those in angles of the motor, or those in lengths (of a rotary axis: angles) of the table.
+    """
     for channel in (*POSITIONS, "velocity"):
         text, slope = trace.stated(channel), trace.slope(channel)
-        if text is None or slope is None:
+        if text is None or slope is None or (of_motor and _is_of_table(channel, text)):
             continue
         try:
-            factor = abs(conversion(channel, text, {}, sheet).factor)
+            return abs(conversion(channel, text, {}, sheet).factor * slope)
         except ValueError:
             continue
-        plain = channel == "velocity" or _is_of(text, probe)
-        if plain:
-            return factor * abs(slope)
     return None
 
 
-def _is_of(text: str, probe: tuple[str, ...]) -> bool:
-    """Whether a unit is of the kind of these: lengths and angles convert into one another by no number of its own."""
-    is_angle = probe == ANGLES
-    unit = "rad" if is_angle else "m"
+def _is_of_table(channel: str, text: str) -> bool:
+    """Whether a unit is of a length, for which no lead is needed."""
     try:
-        to_axis_si(text if any(one.isdigit() for one in text) else f"1 {text.lstrip('-')}", unit, DataSheet())
+        conversion(channel, text, {})
     except ValueError:
         return False
     return True
@@ -162,9 +160,9 @@ def _compare_lead(trace: Trace, found: Scales, table: float, motor: float) -> No
         found.ask(
             "gear_ratio",
             "",
-            f"the trace shows {1e3 * per_turn:.4g} mm per turn of the motor, and a lead of {1e3 * lead:g} mm with a gear "
-            f"ratio of {found.sheet.gear_ratio:g} is stated: give the motor's turns per turn of the screw, or correct "
-            "the lead",
+            f"the trace shows {1e3 * per_turn:.4g} mm per turn of the motor, and a lead of {1e3 * lead:g} mm with a "
+            f"gear ratio of {found.sheet.gear_ratio:g} is stated: give the motor's turns per turn of the screw, or "
+            "correct the lead",
             f"{ratio * found.sheet.gear_ratio:.4g}",
         )
 
@@ -268,16 +266,17 @@ def _by_mass(
             found.ask("units", channel, why, several[0].unit)
         return None
     if trace.mass is None:
-        found.ask("mass", "", f"{what} is not stated, and the moving mass, which would decide, is not known", "500 kg")
+        found.ask("mass", "", f"{what}: not stated, and the moving mass, which would decide, is not known", "500 kg")
         return None
     spread = math.hypot(NOMINAL_STD, trace.balance.fit.mass.std / abs(trace.balance.fit.mass.value))
     costs = [0.5 * (math.log(_implied(trace.balance, *pair) / trace.mass) / spread) ** 2 for pair in pairs]
-    best = min(costs)
+    costs, pairs = zip(*sorted(zip(costs, pairs, strict=True)), strict=True)  # the likeliest first
+    best = costs[0]
     rivals = [pair for pair, cost in zip(pairs, costs, strict=True) if cost < best + FAULT_COST]
     unit = "kg m^2" if found.sheet.is_rotary else "kg"
     implied = ", ".join(
         f"{length.unit} and {force.unit} make {_implied(trace.balance, length, force):.3g} {unit}"
-        for length, force in (rivals if best < NONE_FITS else [pairs[costs.index(best)]])
+        for length, force in (rivals if best < NONE_FITS else pairs[:1])
     )
     if best < NONE_FITS and len(rivals) == 1:
         length, force = rivals[0]
@@ -287,12 +286,15 @@ def _by_mass(
             found.take("position", length.unit, "likely", found.by_mass)
         return length, force
     no = "" if best < NONE_FITS else "no unit that is known here fits: "
-    for channel, several in open_channels:
-        side = 0 if channel == "position" else 1
+    why = f"is not stated; {no}{implied}, and {trace.mass:g} {unit} is stated"
+    for channel, side in (("position", 0), ("command", 1)):
         readings = dict.fromkeys(pair[side].unit for pair in rivals)
-        if len(readings) > 1 or best >= NONE_FITS:
-            why = f"the unit of the {channel} '{trace.chosen[channel]}' is not stated; {no}{implied}, and "
-            found.ask("units", channel, f"{why}{trace.mass:g} {unit} is stated", next(iter(readings), several[0].unit))
+        is_open = any(channel == one for one, _ in open_channels)
+        if is_open and (len(readings) > 1 or best >= NONE_FITS):
+            found.ask(
+                "units", channel, f"the unit of the {channel} '{trace.chosen[channel]}' {why}", next(iter(readings))
+            )
+            why = "neither"
     return None
 
 

@@ -60,7 +60,7 @@ def guess_trace(
 
     Examples:
         >>> found = guess_trace(read_table("trace.csv"), mass=500.0)
-        >>> print(*found.guesses, *found.questions, sep="\n")
+        >>> print(*found.guesses, *found.questions, sep="; ")
 
     """
     given = {channel: column_named(table, channel, name, sheet) for channel, name in (columns or {}).items()}
