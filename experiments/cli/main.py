@@ -43,7 +43,7 @@ def everywhere(
     """Simulate, tune, identify and diagnose a machine-tool feed drive.
 
     Start with `diffdrive demo`; then `diffdrive template > drive.toml`, edit it, `diffdrive simulate drive.toml`. With
-    a log of your machine: `diffdrive check lap.csv --drive drive.toml`, then `identify` and `diagnose`.
+    a log of your machine: `diffdrive start lap.csv`, then `identify` and `diagnose`.
     """
 
 

@@ -45,25 +45,46 @@ def guess_positions(columns: dict[str, Column], recording: Recording, given: Map
     for channel in CHANNELS:
         if channel in given:
             found.take(channel, given[channel], "stated", "by you")
-    taken = {*given.values()}
+    exact = _called_as_channels(columns, recording, anchor, given)
+    taken = {*given.values(), *exact.values()}
     members = [
         name
         for name in of_kind(columns, "position", "")
         if name not in taken and (name == anchor or recording.slope(name, anchor) is not None)
     ]
     forces = [given["command"]] if "command" in given else may_be_forces(columns, recording, anchor)
-    fed_back = {name: _feedback(recording, forces, name) for name in [*members, *found.chosen.values()]}
-    swapped = [name for name in members if columns[name].words.role == "set" and fed_back[name] is True]
+    fed_back = {name: _feedback(recording, forces, name) for name in [*members, *taken]}
+    called_set = [name for name in members if columns[name].words.role == "set"]
+    swapped = [name for name in (*called_set, exact.get("reference", "")) if fed_back.get(name) is True]
     if swapped:
-        others = [name for name in members if name not in swapped]
+        others = [name for name in (*exact.values(), *members) if name not in swapped]
         return found.ask(
             "position",
             f"'{swapped[0]}' is called a set-point, and the command moves against its noise as against a measured "
             f"position's: columns may be exchanged ({quoted_names([*swapped, *others])}); say which was measured",
             swapped[0],
         )
+    for channel, name in exact.items():
+        found.take(channel, name, "sure", "its name")
+    if "position" in exact:  # a further one, such as a simulation's own, is the motor's only if it is called so
+        members = [name for name in members if columns[name].words.role == "set" or _is_motor(columns[name])]
     _sort(columns, recording, members, fed_back, found)
     return found
+
+
+def _called_as_channels(
+    columns: dict[str, Column], recording: Recording, anchor: str, given: Mapping[str, str]
+) -> dict[str, str]:
+    """The columns that have the very name of a channel, as the reader of logs finds them, and move as the axis does."""
+    names = {column.stated.name.strip().casefold(): name for name, column in columns.items()}
+    return {
+        channel: names[channel]
+        for channel in CHANNELS
+        if channel in names
+        and channel not in given
+        and names[channel] not in given.values()
+        and recording.slope(names[channel], anchor) is not None
+    }
 
 
 def _anchor(columns: dict[str, Column], recording: Recording, given: Mapping[str, str], found: Positions) -> str | None:
@@ -249,7 +270,7 @@ def _motor_of(
             return motors[0], reason, "sure"
     scales = [name for name in pair if columns[name].words.encoder == "scale"]
     if len(scales) == 1:
-        return next(name for name in pair if name not in scales), "by their names", "sure"
+        return next(name for name in pair if name not in scales), "the other one is called a scale", "likely"
     first, second = pair
     slope = recording.slope(first, second)
     speed = derivative(recording.mean(second), recording.mean_period, 1)

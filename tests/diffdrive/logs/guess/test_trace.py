@@ -253,3 +253,17 @@ def test_a_column_that_is_not_there_is_refused():
         guess_trace(table(SIEMENS), columns={"position": "Istwert"})
     with pytest.raises(LogError, match="holds one value throughout"):
         guess_trace(table(SIEMENS | {"still": np.ones_like(TIME)}), columns={"position": "still"})
+
+
+def test_a_column_that_has_the_name_of_a_channel_is_that_channel():
+    """A simulated log has the true position of the table beside the measured one: that is no motor's encoder."""
+    columns = {
+        "time": TIME, "position": POSITION, "table_position": POSITION + 1e-8 * np.sin(TIME), "reference": REFERENCE,
+        "command [N]": COMMAND,
+    }  # fmt: skip
+    found = guess_trace(table(columns), mass=MASS)
+    assert found.questions == []
+    assert (found.columns["position"], found.columns["reference"]) == ("position", "reference")
+    assert "motor_position" not in found.columns
+    exchanged = columns | {"position": REFERENCE, "reference": POSITION}
+    assert asked(guess_trace(table(exchanged), mass=MASS)) == [("columns", "position")]
