@@ -10,7 +10,7 @@ from diffdrive.logs.clocks.stamps import seconds_from_text
 from diffdrive.logs.column_unit import conversion
 from diffdrive.logs.formats.table import Table
 from diffdrive.logs.guess.names import words_of
-from diffdrive.logs.guess.result import Guess, Question
+from diffdrive.logs.guess.result import Certainty, Guess, Question
 from diffdrive.logs.guess.units import stated_unit
 from diffdrive.logs.log import Signal
 from diffdrive.support.messages import quoted_names
@@ -39,7 +39,7 @@ def guess_clock(
         return None, [], questions
     if column is None:
         return _counted(table, rate)
-    certainty = "stated" if "time" in columns else "sure"
+    certainty: Certainty = "stated" if "time" in columns else "sure"
     if (parsed := seconds_from_text(table, column)) is not None:
         times, unit, reason = parsed[0], None, "dates or times of day"
     else:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from diffdrive.logs.guess.columns import Column, may_be_forces, of_kind
 from diffdrive.logs.guess.evidence import Balance, Recording
-from diffdrive.logs.guess.result import Guess, Question
+from diffdrive.logs.guess.result import Certainty, Guess, Question
 from diffdrive.logs.log import READABLE
 from diffdrive.model.data_sheet import DataSheet
 from diffdrive.support.messages import quoted_names
@@ -41,7 +41,7 @@ def guess_command(
         reasons.append("mass and friction explain it by the motion")
     if best == _RANKS["actual"]:
         reasons.append("measured, for want of a set-point: it lags behind that by the current loop")
-    certainty = "sure" if called and balances[name] is not None else "likely"
+    certainty: Certainty = "sure" if called and balances[name] is not None else "likely"
     return name, balances[name], [Guess("command", f"'{name}'", certainty, "; ".join(reasons))], []
 
 

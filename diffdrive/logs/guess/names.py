@@ -89,7 +89,7 @@ def words_of(name: str) -> Words:
             for facet, meaning in _VOCABULARY[word]:
                 said[facet].append(meaning)
     quantities = said["quantity"]
-    quantity = next((one for one in ("error", "other") if one in quantities), None)
+    quantity: str | None = next((one for one in ("error", "other") if one in quantities), None)
     if quantity is None and quantities:
         # "current position" is the present one, "load position" that on the side of the load, and
         # "torque generating current" is a current
@@ -97,11 +97,12 @@ def words_of(name: str) -> Words:
         quantity = next((one for one in ranked if one in quantities), quantities[0])
     if quantity is None and parts in (["command"], ["cmd"]):
         quantity = "force"  # by itself it is what the controller gives
-    role = next((one for one in ("feedforward", "set", "actual") if one in said["role"]), None)
+    roles: tuple[Role, ...] = ("feedforward", "set", "actual")
+    role = next((one for one in roles if one in said["role"]), None)
     encoder = said["encoder"][0] if len(set(said["encoder"])) == 1 else None
     if quantity == "position" and "load" in quantities:
         encoder = encoder or "scale"
-    return Words(cast(Quantity | None, quantity), cast(Role | None, role), cast(Encoder | None, encoder))
+    return Words(cast(Quantity | None, quantity), role, cast(Encoder | None, encoder))
 
 
 def _compound(part: str) -> list[str] | None:

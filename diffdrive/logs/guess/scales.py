@@ -270,13 +270,13 @@ def _by_mass(
         return None
     spread = math.hypot(NOMINAL_STD, trace.balance.fit.mass.std / abs(trace.balance.fit.mass.value))
     costs = [0.5 * (math.log(_implied(trace.balance, *pair) / trace.mass) / spread) ** 2 for pair in pairs]
-    costs, pairs = zip(*sorted(zip(costs, pairs, strict=True)), strict=True)  # the likeliest first
-    best = costs[0]
-    rivals = [pair for pair, cost in zip(pairs, costs, strict=True) if cost < best + FAULT_COST]
+    ranked = sorted(zip(costs, pairs, strict=True))  # the likeliest first
+    best = ranked[0][0]
+    rivals = [pair for cost, pair in ranked if cost < best + FAULT_COST]
     unit = "kg m^2" if found.sheet.is_rotary else "kg"
     implied = ", ".join(
         f"{length.unit} and {force.unit} make {_implied(trace.balance, length, force):.3g} {unit}"
-        for length, force in (rivals if best < NONE_FITS else pairs[:1])
+        for length, force in (rivals if best < NONE_FITS else rivals[:1])
     )
     if best < NONE_FITS and len(rivals) == 1:
         length, force = rivals[0]
