@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from diffdrive.axis import Axis
-from diffdrive.controllers.base import PDGains, Tracking
+from diffdrive.controllers.base import Feedforward, PDGains, Tracking
 from diffdrive.controllers.cascade import Cascade
 from diffdrive.controllers.pd import PD
 from diffdrive.errors import DiffdriveError
@@ -15,10 +15,7 @@ from diffdrive.logs import Log
 from diffdrive.logs.checks.consistency import EXPLAINED
 from diffdrive.logs.checks.relation import controller_relation
 from diffdrive.logs.checks.statistics import percent
-from tuning.identification.controller.fit import free_noise
 from tuning.identification.controller.law import Reading
-from tuning.identification.controller.readings import SAMPLES
-from tuning.identification.controller.signals import every_sample, pieces
 from tuning.identification.controller.workflow import ControllerEstimate, identify_controller
 
 ROUNDING = 1e-5  # of the command: what the digits of a log leave
@@ -40,14 +37,16 @@ def first_controller(log: Log, axis: Axis) -> FirstController:
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a search in a log of which nobody said that it has a cascade
-            estimate = identify_controller(None, log)
+            estimate = identify_controller(axis, log)
     except (DiffdriveError, np.linalg.LinAlgError) as problem:
         return FirstController(None, None, f"no cascade is seen: {problem}")
     if estimate.logs[0].reading is not Reading.EVERY_SAMPLE:
         return FirstController(None, estimate, "the rows are snapshots of a faster loop")
-    if not all(estimate.gain(name).determined for name in ("kp", "kv")):
+    if estimate.axis is None or not all(estimate.gain(name).determined for name in ("kp", "kv")):
         return FirstController(None, estimate, "the trace does not determine the gains")
-    tried = [(_misfit(log, axis, one), one) for one in _controllers(log, estimate)]
+    cascade = estimate.axis.controller
+    assert isinstance(cascade, Cascade)
+    tried = [(_misfit(log, axis, one), one) for one in _controllers(cascade, axis)]
     misfit, controller = min(tried, key=lambda one: one[0])
     left = f"{percent(misfit)} % of the command" if misfit > ROUNDING else "the rounding of the command"
     if not misfit < EXPLAINED:
@@ -55,28 +54,18 @@ def first_controller(log: Log, axis: Axis) -> FirstController:
     return FirstController(controller, estimate, f"this {controller.kind} leaves {left}")
 
 
-def _controllers(log: Log, estimate: ControllerEstimate) -> list[Cascade | PD]:
-    """The cascade with the estimated gains, and the PD that it is without an integral and with full feed-forward."""
-    cascade = _cascade(log, estimate)
-    if float(cascade.ki) or abs(float(cascade.velocity_feedforward) - 1.0) > NO_FEEDFORWARD:
+def _controllers(found: Cascade, axis: Axis) -> list[Cascade | PD]:
+    """The cascade that was found, in digits that a file has, and the PD that it is with full feed-forward alone."""
+    digits = {name: float(f"{float(gain):.6g}") for name, gain in replace(axis, controller=found).gains.items()}
+    cascade = replace(axis, controller=found).with_gains(**digits).controller
+    assert isinstance(cascade, Cascade)
+    cascade = replace(cascade, velocity_feedforward=float(f"{float(cascade.velocity_feedforward):.4g}"))
+    has_integral = cascade.reset_time is not None or float(cascade.ki) > 0
+    if has_integral or abs(float(cascade.velocity_feedforward) - 1.0) > NO_FEEDFORWARD:
         return [cascade]
     kp, kd = float(cascade.kp), float(cascade.kv)
-    return [cascade, PD(Tracking(PDGains(kp=float(f"{kp * kd:.6g}"), kd=kd)))]
-
-
-def _cascade(log: Log, estimate: ControllerEstimate) -> Cascade:
-    """Its velocity is differenced over the samples that leave least of the command."""
-    kp, kv, ki = (float(f"{estimate.gain(name).value:.6g}") for name in ("kp", "kv", "ki"))
-    forward = estimate.gain("velocity_feedforward").value
-    parts = list(pieces(log))
-    samples = min(SAMPLES, key=lambda n: free_noise([every_sample(log, one, n, 0, backward=False) for one in parts]))
-    return Cascade(
-        kp=kp,
-        kv=kv,
-        ki=ki if estimate.gain("ki").determined else 0.0,
-        velocity_feedforward=0.0 if forward < NO_FEEDFORWARD else float(f"{forward:.4g}"),
-        velocity_samples=samples,
-    )
+    feedforward = None if cascade.feedforward is None else Feedforward.of(axis.drive.plant)
+    return [cascade, PD(Tracking(PDGains(kp=float(f"{kp * kd:.6g}"), kd=kd), feedforward))]
 
 
 def _misfit(log: Log, axis: Axis, controller: Cascade | PD) -> float:

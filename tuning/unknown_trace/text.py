@@ -6,6 +6,7 @@ from dataclasses import fields
 import numpy as np
 import tomli_w
 
+from diffdrive.axis_file.controller_file import controller_table
 from diffdrive.controllers.pd import PD
 from diffdrive.logs import Log
 from diffdrive.logs.guess.result import Guess
@@ -19,7 +20,8 @@ from tuning.unknown_trace.controller import FirstController
 from tuning.unknown_trace.friction import PRESLIDING, PRESLIDING_ANGLE, FirstMachine
 
 WIDTH = 34  # of key and value, before a comment
-_GAINS = {"kp": "1/s, K_v", "kv": "N s/m, velocity gain", "ki": "N/m", "velocity_feedforward": "share"}
+_GAINS = ("kp", "kv", "reset_time", "velocity_feedforward")
+_MEANINGS = {"kv": ": velocity gain", "velocity_feedforward": ": share", "reset_time": ": T_n"}
 
 
 def drive_text(source: str, log: Log, trace: TraceGuess, machine: FirstMachine, controller: FirstController) -> str:
@@ -146,15 +148,13 @@ def _controller(found: FirstController) -> Iterator[str]:
     estimate = found.estimate
     assert estimate is not None
     yield _line("kind", found.controller.kind, f"seen: {found.why}")
-    if isinstance(found.controller, PD):
-        yield _line("kp", float(found.controller.tracking.gains.kp), "N/m, seen")
-        yield _line("kd", float(found.controller.tracking.gains.kd), "N s/m, seen")
-        yield ""
-        return
-    for name, unit in _GAINS.items():
-        low, high = estimate.interval(name)
-        yield _line(name, float(getattr(found.controller, name)), f"{unit}, seen: {low:.4g} to {high:.4g}")
-    yield _line("velocity_samples", found.controller.velocity_samples, "seen: what leaves least of the command")
+    intervals = {
+        gain.name: f", {gain.low:.4g} to {gain.high:.4g} {gain.unit}".removesuffix(" 1") for gain in estimate.gains
+    }
+    of_pd = isinstance(found.controller, PD)
+    for name, value in controller_table(found.controller).items():
+        if name != "kind":
+            yield _line(name, value, f"seen{'' if of_pd else intervals.get(name, '')}{_MEANINGS.get(name, '')}")
     yield ""
 
 
