@@ -15,7 +15,6 @@ def cascade_of(gains: Sequence[Gain], drive: Drive, samples: int) -> Cascade:
     """
     found = {gain.name: gain.value if gain.determined else 0.0 for gain in gains}
     mass, forward = found["acceleration_feedforward"], max(0.0, found["velocity_feedforward"])
-    integral = {"reset_time": found["reset_time"]} if found["reset_time"] > 0 else {}
     feedforward = Feedforward.of(drive.plant) if mass > 0 else None
     share = mass / float(drive.plant.mass) if mass > 0 else None
     return Cascade(
@@ -25,5 +24,5 @@ def cascade_of(gains: Sequence[Gain], drive: Drive, samples: int) -> Cascade:
         feedforward=feedforward,
         force_feedforward=share,
         velocity_samples=samples,
-        **integral,
+        reset_time=found["reset_time"] if found["reset_time"] > 0 else None,
     )

@@ -49,7 +49,7 @@ def moments(equations: Sequence[Equation]) -> Moments:
     rows = sum(len(equation.commands) for equation in equations)
     length = max(1, -(-rows // BLOCKS))
     levels = [_level(same) for same in zip(*(equation.conditions for equation in equations), strict=True)]
-    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    found: list[tuple[Rows, Rows, Rows]] = []
     for equation in equations:
         count = max(1, round(len(equation.commands) / length))
         for part in np.array_split(np.arange(len(equation.commands)), count):
@@ -57,7 +57,7 @@ def moments(equations: Sequence[Equation]) -> Moments:
     return Moments(*(np.stack(parts) for parts in zip(*found, strict=True)))
 
 
-def _sums(conditions: Sequence[Condition], rows: np.ndarray, levels: Sequence[float]) -> tuple[np.ndarray, ...]:
+def _sums(conditions: Sequence[Condition], rows: np.ndarray, levels: Sequence[float]) -> tuple[Rows, Rows, Rows]:
     variances, regressors, commands = [], [], []
     for (z, x, u, excess, _), level in zip(conditions, levels, strict=True):
         variances.append(level**2 * z[rows].T @ z[rows])
@@ -73,7 +73,7 @@ def _level(same: Sequence[Condition]) -> float:
         return 1.0
     columns = np.concatenate([one.regressors[rows] for one, rows in zip(same, looked, strict=True)])
     command = np.concatenate([one.commands[rows] for one, rows in zip(same, looked, strict=True)])
-    return same[0].level * left_free(columns, command[:, command.shape[1] // 2])
+    return same[0].level * float(left_free(columns, command[:, command.shape[1] // 2]))
 
 
 def left_free(columns: Rows, commands: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "..."]:
