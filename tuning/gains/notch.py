@@ -1,58 +1,20 @@
 """A notch on the resonance that the linearised loop shows, as a start from which `tune` moves it."""
 
-from typing import NamedTuple
-
 import numpy as np
-from jaxtyping import Complex, Float
 
 from diffdrive.axis import Axis, require_axis
 from diffdrive.controllers import Notch
 from diffdrive.errors import ParameterError
+from diffdrive.frequency.resonances import find_resonances
 from diffdrive.linearisation import linearise
 from diffdrive.loop.margins import LOWEST_FREQUENCY
 from diffdrive.numerics.arrays import Scalar
 
 # The peak of a damping E is 2 E wide, in the logarithm of frequency: of 0.5 % damping there are four points in it.
 POINTS_PER_DECADE = 1_000
-HALF_POWER = float(np.sqrt(0.5))  # -3 dB, at the edges of a peak
 # Damping of the notch's denominator. Far below its frequency f the notch lags by 2 D times the share of f: at a
 # crossover of a third of f by 12 degrees, which leaves a loop of the usual 45 degrees its 30.
 NOTCH_DAMPING = 0.3
-
-
-class Resonance(NamedTuple):
-    """A peak of the loop's gain above its crossover."""
-
-    frequency: float  # Hz
-    damping: float  # ratio, from its width at -3 dB
-    gain: float  # |L| there
-
-
-def find_resonance(frequency: Float[np.ndarray, " f"], loop: Complex[np.ndarray, " f"]) -> Resonance | None:
-    """The highest peak of |L| above the frequency (Hz) from which |L| is below one for the first time; None without.
-
-    It counts as a peak where it falls by 3 dB on both sides, so that it has a width.
-    """
-    gain, log = np.abs(loop), np.log(frequency)
-    below = np.flatnonzero(gain < 1.0)
-    first = int(below[0]) if below.size else 0
-    inner = gain[1:-1]
-    peaks = 1 + np.flatnonzero((inner > gain[:-2]) & (inner >= gain[2:]))
-    found = []
-    for peak in peaks[peaks > first]:
-        edge = HALF_POWER * gain[peak]
-        under = gain < edge
-        left, right = np.flatnonzero(under[first:peak]), np.flatnonzero(under[peak:])
-        if not (left.size and right.size):
-            continue
-        low, high = first + left[-1], peak + right[0]
-        edges = [
-            np.interp(np.log(edge), np.log(gain[pair]), log[pair])
-            for pair in (np.array([low, low + 1]), np.array([high, high - 1]))
-        ]
-        width = np.exp(edges[1]) - np.exp(edges[0])
-        found.append(Resonance(float(frequency[peak]), float(width / (2.0 * frequency[peak])), float(gain[peak])))
-    return max(found, key=lambda one: one.gain, default=None)
 
 
 def propose_notch(axis: Axis, *, velocity: Scalar = 0.010, load: Scalar = 0.0, machine: Axis | None = None) -> Axis:
@@ -81,7 +43,7 @@ def propose_notch(axis: Axis, *, velocity: Scalar = 0.010, load: Scalar = 0.0, m
     count = int(POINTS_PER_DECADE * np.log10(highest / LOWEST_FREQUENCY))
     frequency = np.geomspace(LOWEST_FREQUENCY, highest, count)
     loop = linearise(axis, velocity=velocity, load=load, machine=machine)
-    found = find_resonance(frequency, np.asarray(loop.response(frequency)))
+    found = next(iter(find_resonances(frequency, np.asarray(loop.response(frequency)))), None)
     if found is None or found.damping >= NOTCH_DAMPING:
         raise ParameterError(
             f"no resonance: above the crossover the loop's gain has no peak with a damping below {NOTCH_DAMPING:g}; "

@@ -9,7 +9,8 @@ import diffdrive as dd
 import tuning
 from diffdrive.controllers import Cascade, Feedforward
 from diffdrive.errors import ParameterError
-from tuning.gains.notch import find_resonance
+from diffdrive.frequency.resonances import find_resonances
+from diffdrive.model.quantity import Directional
 
 FREQUENCY = np.geomspace(0.5, 5_000.0, 4_000)
 
@@ -23,34 +24,39 @@ def gain_of(resonance, damping, crossover=20.0):
 @pytest.mark.parametrize("damping", [0.01, 0.05])
 @pytest.mark.parametrize("resonance", [80.0, 900.0])
 def test_a_resonance_is_found_with_its_damping(resonance, damping):
-    found = find_resonance(FREQUENCY, gain_of(resonance, damping))
-    assert found is not None
+    [found] = find_resonances(FREQUENCY, gain_of(resonance, damping))
     assert found.frequency == pytest.approx(resonance, rel=1e-2)  # the slope of the loop moves it
     assert found.damping == pytest.approx(damping, rel=0.1)
     assert found.gain == pytest.approx(20.0 / resonance / (2.0 * damping), rel=0.02)
 
 
 def test_a_loop_without_a_resonance_has_none():
-    assert find_resonance(FREQUENCY, gain_of(500.0, 0.8)) is None
-    assert find_resonance(FREQUENCY, 20.0 / (1j * FREQUENCY)) is None
+    assert find_resonances(FREQUENCY, gain_of(500.0, 0.8)) == []
+    assert find_resonances(FREQUENCY, 20.0 / (1j * FREQUENCY)) == []
 
 
-def test_of_two_resonances_the_higher_peak_counts():
+def test_of_two_resonances_the_higher_peak_comes_first():
     both = gain_of(150.0, 0.05) + 0.2 * gain_of(700.0, 0.002)
-    found = find_resonance(FREQUENCY, both)
-    assert found is not None
-    assert found.frequency == pytest.approx(150.0, rel=0.01)
+    assert [one.frequency for one in find_resonances(FREQUENCY, both)] == pytest.approx([150.0, 700.0], rel=0.01)
 
 
 def two_masses(resonance=120.0):
-    """The paper's drive behind an elastic screw, under a cascade that is slow enough for it."""
+    """The paper's drive behind an elastic screw, under a cascade that is slow enough for it.
+
+    Its friction hardly falls with the speed: behind such a screw the paper's would let the table stick and slip at
+    1 mm/s, whatever the gains, and no margin could be kept.
+    """
     axis = dd.paper_axis(controller="cascade")
-    drive = dataclasses.replace(axis.drive, actuator=dataclasses.replace(axis.drive.actuator, delay_samples=1))
+    drive = dataclasses.replace(
+        axis.drive,
+        actuator=dataclasses.replace(axis.drive.actuator, delay_samples=1),
+        friction=dataclasses.replace(axis.drive.friction, breakaway_gap=Directional(2.0, 2.0)),
+    )
     axis = axis.with_drive(drive).with_effects(
         dd.effects.Compliance(frequency=resonance, damping=0.02, motor_share=0.5, table_friction=0.9)
     )
     controller = Cascade(
-        kp=15.0, kv=3_000.0, reset_time=0.05, velocity_feedforward=1.0, feedforward=Feedforward.of(axis.drive.plant)
+        kp=15.0, kv=2_000.0, reset_time=0.05, velocity_feedforward=1.0, feedforward=Feedforward.of(axis.drive.plant)
     )
     return axis.with_controller(controller)
 
