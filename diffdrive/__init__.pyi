@@ -1,6 +1,8 @@
 from . import controllers, effects, logs, motion
 from .axis import Axis
 from .axis_file.drive_file import read_axis
+from .frequency.read import read_frequency_response
+from .frequency.response import FrequencyResponse
 from .linearisation import LinearLoop, StabilityMargins, linearise
 from .logs.encoders.comparison import compare_encoders
 from .logs.encoders.result import EncoderComparison
@@ -8,6 +10,7 @@ from .logs.log import Log
 from .logs.read import read_log, read_logs
 from .loop.recording import Recording, record
 from .loop.run import Run
+from .measured_loop import FrequencyComparison, MeasuredLoop, compare_frequency_response, measured_loop
 from .model.data_sheet import DataSheet
 from .model.trace import Trace
 from .motion import load
@@ -19,23 +22,29 @@ __all__ = [
     "Axis",
     "DataSheet",
     "EncoderComparison",
+    "FrequencyComparison",
+    "FrequencyResponse",
     "LinearLoop",
     "Log",
+    "MeasuredLoop",
     "Recording",
     "Rollout",
     "Run",
     "StabilityMargins",
     "Trace",
     "compare_encoders",
+    "compare_frequency_response",
     "configure",
     "controllers",
     "effects",
     "linearise",
     "load",
     "logs",
+    "measured_loop",
     "motion",
     "paper_axis",
     "read_axis",
+    "read_frequency_response",
     "read_log",
     "read_logs",
     "record",

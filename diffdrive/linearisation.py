@@ -38,7 +38,8 @@ class StabilityMargins(eqx.Module):
     def __repr__(self) -> str:
         if any(isinstance(leaf, jax.core.Tracer) or np.ndim(leaf) for leaf in jax.tree.leaves(self)):
             return f"StabilityMargins of {jax.tree.leaves(self)[0]!r}"
-        verdict = "stable" if self.stable else f"UNSTABLE: a mode grows by {float(self.growth):.3g} 1/s"
+        grows = "" if np.isinf(float(self.growth)) else f": a mode grows by {float(self.growth):.3g} 1/s"
+        verdict = "stable" if self.stable else f"UNSTABLE{grows}"
         return (
             f"{verdict}; gain margins {float(self.gain_margin_up):.3g} dB up, {float(self.gain_margin_down):.3g} dB "
             f"down, phase margin {float(self.phase_margin):.3g} deg at {float(self.crossover):.3g} Hz, peak "
@@ -60,9 +61,7 @@ class LinearLoop(eqx.Module):
         """Gain and phase margins and peak sensitivity; differentiable once."""
         if self._has_lanes:
             return jax.vmap(LinearLoop.margins)(self)
-        found = _margins(self.open_loop)
-        up, down = (20.0 * jnp.log10(gain) for gain in (found.gain_up, found.gain_down))
-        return StabilityMargins(up, down, jnp.degrees(found.phase), found.sensitivity, found.crossover, found.growth)
+        return stability_margins(_margins(self.open_loop))
 
     def response(self, frequencies: Float[Array, " f"] | Float[np.ndarray, " f"]) -> Complex[Array, "*lanes f"]:
         """The open loop L at `frequencies` (Hz, up to half the control rate): requested force over force on the table.
@@ -128,6 +127,12 @@ def linearise(axis: Axis, *, velocity: Scalar, load: Scalar = 0.0, machine: Axis
     drive, controller = checked_machine(axis, machine).smooth().drive, axis.smooth().controller
     point = loop.OperatingPoint(velocity, load)
     return LinearLoop(_open_loop(*as_arrays((drive, controller)), axis.sampling, as_arrays(point)), velocity, load)
+
+
+def stability_margins(found: loop_margins.Margins) -> StabilityMargins:
+    """Margins in dB and degrees."""
+    up, down = (20.0 * jnp.log10(gain) for gain in (found.gain_up, found.gain_down))
+    return StabilityMargins(up, down, jnp.degrees(found.phase), found.sensitivity, found.crossover, found.growth)
 
 
 _open_loop = eqx.filter_jit(loop.open_loop)

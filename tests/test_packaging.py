@@ -52,7 +52,7 @@ LAYERS = (
     ("model",),
     ("observers",),
     ("logs",),  # of a log itself; what asks an axis stands below
-    ("motion",),
+    ("motion", "frequency"),
     ("effects",),
     ("controllers",),
     ("loop",),
@@ -62,6 +62,7 @@ LAYERS = (
         "paper",
         "simulation",
         "linearisation",
+        "measured_loop",
         "motion.text",
         "motion.reference",
         "logs.checks",

@@ -60,39 +60,82 @@ class OpenLoop(eqx.Module):
         return self.a + jnp.outer(self.b, self.c)
 
 
+class StepInputs(NamedTuple):
+    """What enters a control step from outside: the force on the table (N), the reference, and what is added to the
+    controller's command (N; None: nothing is).
+    """
+
+    force: Scalar
+    reference: Reference
+    command: Scalar | None = None
+
+
+class StepOutputs(NamedTuple):
+    """What leaves a control step: the command and the force requested by it (N), and the readings before it."""
+
+    command: Scalar
+    requested: Scalar
+    encoders: Encoders
+
+
+class SteadyStep(NamedTuple):
+    """A control step about a steady motion: its state as a vector, its inputs there, and the step itself."""
+
+    vector: Float[Array, " n"]
+    inputs: StepInputs
+    step: Callable[[Array, StepInputs], tuple[Array, StepOutputs]]
+
+
 def open_loop(drive: Drive, controller: Controller, sampling: Sampling, point: OperatingPoint) -> OpenLoop:
     """The loop about the steady motion `point`, of the smooth variants of drive and controller.
 
     Pure: for use under `jit`, `vmap`, and differentiation. The gains of a Kalman filter are its steady ones; their
     dependence on its state is of second order where its innovation vanishes, and is left out.
     """
+    vector, inputs, step = steady_step(drive, controller, sampling, point, lambda state: _is_dynamic(state, controller))
+
+    def requested(vector: Array, force: Scalar) -> tuple[Array, Scalar]:
+        ahead, outputs = step(vector, inputs._replace(force=force))
+        return ahead, outputs.requested
+
+    a, c = jax.jacfwd(requested)(vector, inputs.force)
+    b, _ = jax.jacfwd(requested, argnums=1)(vector, inputs.force)
+    return balanced(a, b, c, sampling.period)
+
+
+def steady_step(
+    drive: Drive,
+    controller: Controller,
+    sampling: Sampling,
+    point: OperatingPoint,
+    is_dynamic: Callable[[LoopState], PyTree],
+) -> SteadyStep:
+    """The control step about `point`, in which the states move that `is_dynamic` says (true or false for each)."""
     drive, controller = resolvable((stages.with_machine_effects(drive, drive.effects), controller))
     settled = _settled_state(drive, controller, sampling, point)
-    vector, rebuild = _state_vector(settled, controller)
+    vector, rebuild = _state_vector(settled, is_dynamic)
     _require_memory(vector.size, 1)
     reference = _steady_reference(controller, sampling, settled.plant.position, point.velocity)
     motor_zero = _motor_ahead(drive, settled)
 
-    def step(vector: Array, force: Scalar) -> tuple[Array, Scalar]:
+    def step(vector: Array, inputs: StepInputs) -> tuple[Array, StepOutputs]:
         state = rebuild(vector)
         encoders = _zeroed(read_encoders(drive, state.plant.position, state.effects), motor_zero)
         controller_state, command = controller.step_from_encoders(
-            state.controller, reference, encoders, state.actuator.applied, sampling.period
+            state.controller, inputs.reference, encoders, state.actuator.applied, sampling.period
         )
-        requested = actuator.step(drive.actuator, state.actuator, command.force, sampling.period)
+        commanded = command.force if inputs.command is None else command.force + inputs.command
+        requested = actuator.step(drive.actuator, state.actuator, commanded, sampling.period)
         effect_states, applied = stages.actuator_output(
             drive.effects, state.effects, requested.applied, sampling.period
         )
         table, effect_states, _ = step_machine(
-            drive, sampling, state._replace(effects=effect_states), Push(force), 0.0, point.load
+            drive, sampling, state._replace(effects=effect_states), Push(inputs.force), 0.0, point.load
         )
         ahead = LoopState(table, requested, controller_state, state.count, effect_states)
-        return _state_vector(ahead, controller)[0], applied.mean
+        return _state_vector(ahead, is_dynamic)[0], StepOutputs(commanded, applied.mean, encoders)
 
-    force = _steady_force(drive, point)
-    a, c = jax.jacfwd(step)(vector, force)
-    b, _ = jax.jacfwd(step, argnums=1)(vector, force)
-    return _balanced(a, b, c, sampling.period)
+    return SteadyStep(vector, StepInputs(_steady_force(drive, point), reference), step)
 
 
 def _motor_ahead(drive: Drive, settled: LoopState) -> Scalar | None:
@@ -170,15 +213,17 @@ def _settled_effects(
     return lax.scan(body, initial, jnp.arange(1.0, count + 1.0))[0]
 
 
-def _state_vector(state: LoopState, controller: Controller) -> tuple[Array, Callable[[Array], LoopState]]:
+def _state_vector(
+    state: LoopState, is_dynamic: Callable[[LoopState], PyTree]
+) -> tuple[Array, Callable[[Array], LoopState]]:
     """The states that take part in a small motion as one vector, and the function from it to a complete state."""
     leaves, tree = jax.tree.flatten(state)
-    is_dynamic = jax.tree.leaves(_is_dynamic(state, controller))
-    vector, unravel = ravel_pytree([leaf for leaf, dynamic in zip(leaves, is_dynamic, strict=True) if dynamic])
+    dynamic_leaves = jax.tree.leaves(is_dynamic(state))
+    vector, unravel = ravel_pytree([leaf for leaf, dynamic in zip(leaves, dynamic_leaves, strict=True) if dynamic])
 
     def rebuild(vector: Array) -> LoopState:
         values = iter(unravel(vector))
-        pairs = zip(leaves, is_dynamic, strict=True)
+        pairs = zip(leaves, dynamic_leaves, strict=True)
         return jax.tree.unflatten(tree, (next(values) if dynamic else leaf for leaf, dynamic in pairs))
 
     return vector, rebuild
@@ -194,7 +239,7 @@ def _is_dynamic(state: LoopState, controller: Controller) -> PyTree:
     return jax.tree.map(of_part, declared, state)
 
 
-def _balanced(a: Array, b: Array, c: Array, period: float) -> OpenLoop:
+def balanced(a: Array, b: Array, c: Array, period: float) -> OpenLoop:
     """The same loop in balanced coordinates (metres of bristle beside newtons of load), by Osborne's sweeps."""
     size = len(b)
     magnitude = lax.stop_gradient(jnp.abs(a) + jnp.abs(jnp.outer(b, c))) * (1.0 - jnp.eye(size))

@@ -44,8 +44,24 @@ def frequency_grid(rate: float) -> Float[np.ndarray, " f"]:
 
 def margins(loop: OpenLoop) -> Margins:
     """Margins of an open loop; pure, differentiable once."""
-    critical = lax.stop_gradient(_critical_frequencies(response(loop, frequency_grid(1.0 / loop.period))))
-    at_critical = response(loop, critical.frequency)
+    grid = frequency_grid(1.0 / loop.period)
+    return margins_of_response(lambda frequency: response(loop, frequency), grid, growth_rate(loop))
+
+
+def margins_of_response(
+    respond: Callable[[Float[Array, " f"] | Float[np.ndarray, " f"]], Response],
+    grid: Float[Array, " f"] | Float[np.ndarray, " f"],
+    growth: Scalar,
+    *,
+    ends_real: bool = True,
+) -> Margins:
+    """Margins of a response, which are looked for on the `grid` (Hz); `growth` (1/s) is passed on.
+
+    Pure, differentiable once in what `respond` depends on. `ends_real`: the grid ends where the response is real, as it
+    is at half the control rate, so that it meets the real axis there as well.
+    """
+    critical = lax.stop_gradient(_critical_frequencies(respond(grid), ends_real))
+    at_critical = respond(critical.frequency)
     value, slope = jnp.where(critical.exists, at_critical.loop, 1.0), at_critical.slope
 
     def newton_step(residual: Scalar, rate: Scalar) -> Scalar:
@@ -61,7 +77,7 @@ def margins(loop: OpenLoop) -> Margins:
     exists = critical.exists
     phase = jnp.abs(jnp.angle(-(value[2] + slope[2] * unit_circle_shift(2))))
     return Margins(
-        growth=growth_rate(loop),
+        growth=growth,
         gain_up=jnp.where(exists[0], 1.0 / jnp.where(exists[0], real_axis_crossing(0), 1.0), jnp.inf),
         gain_down=jnp.where(exists[1], real_axis_crossing(1), jnp.inf),
         phase=jnp.where(exists[2], phase, jnp.inf),
@@ -77,7 +93,7 @@ class _Critical(NamedTuple):
     exists: Bool[Array, "5"]
 
 
-def _critical_frequencies(sampled: Response) -> _Critical:
+def _critical_frequencies(sampled: Response, ends_real: bool) -> _Critical:
     cubic = _Cubic.interpolate(sampled)
 
     def nearest(candidates: Bool[Array, " i"], distance: Array, log: Array) -> tuple[Scalar, Bool[Array, ""]]:
@@ -87,7 +103,7 @@ def _critical_frequencies(sampled: Response) -> _Critical:
     share, crosses = _crossings(cubic, jnp.imag, sampled.loop)  # of the real axis, on which the response ends as well
     log = jnp.append(cubic.start + share * cubic.step, jnp.log(sampled.frequency[-1]))
     real = -jnp.append(jnp.real(cubic.at(share)), jnp.real(sampled.loop[-1]))
-    crosses = jnp.append(crosses, True)
+    crosses = jnp.append(crosses, ends_real)
     up, down = crosses & (real > 0.0) & (real < 1.0), crosses & (real >= 1.0)
     gain_up, gain_down = nearest(up, -real, log), nearest(down, real, log)
 
