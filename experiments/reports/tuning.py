@@ -15,6 +15,7 @@ from experiments.reports.loop_figures import bode, nyquist, responses
 from experiments.reports.report import Report, new_figure
 from tuning.gains.checkpoint import CHECKPOINT
 from tuning.gains.handover import handover, worst_margins, write_handover
+from tuning.gains.measured import MeasuredMargins
 from tuning.gains.pareto import ParetoFront, pareto_front
 from tuning.gains.plan import ScenarioResult, TuningPlan
 from tuning.gains.requirements import LoopLimits
@@ -64,6 +65,7 @@ def report_tuning(report: Report, result: TuningResult) -> None:
     with report.result_first() as first:
         gains_table(report, result.search)
         margins_table(report, result.loop_margins)
+        measured_table(report, result.measured_margins)
         loop_figures(report, given, tuned, result.plan, result.setup.limits)
         verification_table(report, result.runs)
         first(verdict(result.search, result.runs))
@@ -141,6 +143,20 @@ def margins_table(report: Report, both: Sequence[ControllerMargins]) -> None:
     rows.sort(key=lambda row: str(row[0]))
     columns = ("where", "gain up dB", "gain down dB", "phase deg", "peak sensitivity", "growth 1/s")
     report.table("margins", columns, rows, "Worst margins over speeds, directions and loads")
+
+
+def measured_table(report: Report, found: Sequence[MeasuredMargins]) -> None:
+    """The margins of the loops with a measured plant, before and after; none where nothing was measured."""
+    if not found:
+        return
+    rows = [
+        [f"{one.name}, {name}", float(m.gain_margin_up), float(m.gain_margin_down), float(m.phase_margin),
+         float(m.peak_sensitivity), "yes" if m.stable else "NO"]
+        for one in found
+        for name, m in (("given", one.before), ("tuned", one.after))
+    ]  # fmt: skip
+    columns = ("measured", "gain up dB", "gain down dB", "phase deg", "peak sensitivity", "stable")
+    report.table("measured_margins", columns, rows, "Margins of the loop with what was measured in the plant's place")
 
 
 def loop_figures(report: Report, description: Axis, tuned: Controller, plan: TuningPlan, limits: LoopLimits) -> None:

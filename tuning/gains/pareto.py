@@ -1,7 +1,7 @@
 """Tracking error against command noise: what quietness costs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -10,7 +10,6 @@ from diffdrive.errors import ParameterError
 from diffdrive.results import Result, Status
 from diffdrive.support.bounds import require_a, require_number
 from tuning.gains.plan import run_scenario
-from tuning.gains.requirements import Constraints
 from tuning.gains.result import TuningResult
 from tuning.gains.tune import GainSearch
 from tuning.gains.tune import tune as search_gains
@@ -115,7 +114,7 @@ def _tuned_under(result: TuningResult, limit: float, progress: StepProgress) -> 
     """The axis as it was given, tuned as before but for this limit of the command noise (N)."""
     setup = result.setup
     limits = setup.constraints.limits._replace(command_noise=limit)
-    constraints = Constraints(limits, setup.constraints.points, setup.constraints.sampling)
+    constraints = replace(setup.constraints, limits=limits)
     return search_gains(
         result.initial_axis.controller, setup.lanes, constraints, setup.space, objective=result.objective,
         options=result.options, progress=progress,

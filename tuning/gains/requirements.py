@@ -19,10 +19,11 @@ from diffdrive.loop.linearise import OperatingPoint, open_loop
 from diffdrive.loop.margins import NEUTRAL_GROWTH, Margins, margins
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Drive, Sampling
-from diffdrive.numerics.arrays import Scalar, as_arrays
+from diffdrive.numerics.arrays import as_arrays
 from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
 from diffdrive.support.bounds import require_number
+from tuning.gains.measured import NAME, MeasuredMachine
 from tuning.gains.objective import rms
 from tuning.gains.scenarios import EnsembleSignals
 
@@ -132,6 +133,7 @@ class Constraints(eqx.Module):
     limits: LoopLimits = eqx.field(converter=as_arrays)
     points: OperatingPoints
     sampling: Sampling = eqx.field(static=True)
+    measured: tuple[MeasuredMachine, ...] = ()
 
     def margins(self, controller: Controller) -> Margins:
         """The margins at every operating point, [p] each; `controller` is the smooth variant."""
@@ -145,31 +147,42 @@ class Constraints(eqx.Module):
 
     def loop_constraints(self, controller: Controller) -> dict[str, Float[Array, " p"]]:
         """Requirements on the loop alone, by name: no simulation is needed."""
-        margins_found, limits = self.margins(controller), self.limits
-        excess_growth = (margins_found.growth - NEUTRAL_GROWTH) / UNSTABLE
-        stable = margins_found.growth < NEUTRAL_GROWTH
-
-        def unless_unstable(excess: Scalar, at_most: Scalar) -> Array:
-            # an unstable loop has no margins: it misses them by as much as a loop at the brink of instability
-            return jnp.where(stable, excess, at_most)
-
+        found = self.margins(controller)
         constraints: dict[str, Float[Array, " p"]] = {
-            "stability": jnp.asarray(excess_growth),
-            "gain margin up": unless_unstable(limits.gain_up / margins_found.gain_up - 1.0, limits.gain_up - 1.0),
-            "gain margin down": unless_unstable(
-                limits.gain_down / margins_found.gain_down - 1.0, limits.gain_down - 1.0
-            ),
+            "stability": jnp.asarray((found.growth - NEUTRAL_GROWTH) / UNSTABLE),
+            **self._margin_constraints(found),
+            **self._measured_constraints(controller),
         }
-        if limits.phase is not None:
-            constraints["phase margin"] = unless_unstable(
-                jnp.where(jnp.isinf(margins_found.phase), -1.0, 1.0 - margins_found.phase / limits.phase), 1.0
-            )
-        if limits.sensitivity is not None:
-            constraints["peak sensitivity"] = unless_unstable(1.0 - limits.sensitivity / margins_found.sensitivity, 1.0)
         observer = innovation_load_observer(controller)
-        if observer is not None and limits.settling is not None:
+        if observer is not None and self.limits.settling is not None:
             constraints["load estimator"] = self._settling(observer)
         return constraints
+
+    def _margin_constraints(self, found: Margins) -> dict[str, Float[Array, " p"]]:
+        """Required margins, by name.
+
+        An unstable loop has no margins: it misses them by as much as a loop at the brink of instability. Where it is
+        the measured loop that turns about -1, it crosses the real axis beyond -1, and its gain must fall by that factor
+        and by the margin: so what it misses goes on smoothly from that of a stable loop, which crosses short of -1.
+        """
+        limits, stable = self.limits, found.growth < NEUTRAL_GROWTH
+        beyond = jnp.isinf(found.growth) & jnp.isfinite(found.gain_down)
+        excess = limits.gain_up * jnp.where(beyond, found.gain_down, 1.0) - 1.0
+        constraints: dict[str, Float[Array, " p"]] = {
+            "gain margin up": jnp.where(stable, limits.gain_up / found.gain_up - 1.0, excess),
+            "gain margin down": jnp.where(stable, limits.gain_down / found.gain_down - 1.0, limits.gain_down - 1.0),
+        }
+        if limits.phase is not None:
+            missed = jnp.where(jnp.isinf(found.phase), -1.0, 1.0 - found.phase / limits.phase)
+            constraints["phase margin"] = jnp.where(stable, missed, 1.0)
+        if limits.sensitivity is not None:
+            constraints["peak sensitivity"] = jnp.where(stable, 1.0 - limits.sensitivity / found.sensitivity, 1.0)
+        return constraints
+
+    def _measured_constraints(self, controller: Controller) -> dict[str, Float[Array, " m"]]:
+        """The same margins of the loops with a measured plant, by name; [m], one for each that was measured."""
+        several = [self._margin_constraints(machine.margins(controller, self.sampling)) for machine in self.measured]
+        return {NAME + name: jnp.stack([one[name] for one in several]) for name in (several[0] if several else ())}
 
     def _settling(self, observer: KalmanObserver) -> Float[Array, " p"]:
         """Eq. (20) must forget an error within `settling` wherever it is at work (and G be positive for that)."""

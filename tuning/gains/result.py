@@ -6,7 +6,9 @@ from typing import ClassVar
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller, FrictionCompensation
+from diffdrive.measured_loop import margins_as_dict
 from diffdrive.results import Result, Status
+from tuning.gains.measured import MeasuredMargins
 from tuning.gains.objective import Objective
 from tuning.gains.plan import TuningPlan
 from tuning.gains.setup import TuningSetup
@@ -33,8 +35,9 @@ class TuningResult(Result):
     `status.ok`: every requirement is kept, and every run of the verification is ok; `axis` then has the gains.
     `tuned_on` and `held_out` compare them with the gains as given on the exact simulator, the latter in scenarios
     (loads, speeds, a machine, noise) that were not tuned on; `margins` are the worst that remain. `gains` are (before,
-    after) by name. `search` has the search, `runs` every run, `loop_margins` the margins at every operating point
-    before and after; `initial_axis` is the axis before; `plan`, `setup`, `objective`, `options` say how it was tuned.
+    after) by name. `measured_margins` are those of the loops with a measured plant, before and after. `search` has the
+    search, `runs` every run, `loop_margins` the margins at every operating point before and after; `initial_axis` is
+    the axis before; `plan`, `setup`, `objective`, `options` say how it was tuned.
     """
 
     axis: Axis
@@ -51,6 +54,7 @@ class TuningResult(Result):
     objective: Objective
     options: SearchOptions
     status: Status
+    measured_margins: tuple[MeasuredMargins, ...] = ()
 
     schema: ClassVar[str] = "tuning/2"
 
@@ -85,6 +89,7 @@ class TuningResult(Result):
             f"margins: {margins.gain_margin:.3g} dB, {margins.phase_margin:.3g} deg, "
             f"peak sensitivity {margins.peak_sensitivity:.3g}"
         )
+        rows += [f"with {name} in the plant's place: {after!r}" for name, _, after in self.measured_margins]
         rows += [f"{name:<12}{was:>12.5g} -> {now:.5g}" for name, (was, now) in self.gains.items()]
         return "\n".join([self.headline(), *rows, *(f"- {note}" for note in self.notes)])
 
@@ -95,7 +100,11 @@ class TuningResult(Result):
             "tuned_on": self.tuned_on.as_dict(),
             "held_out": self.held_out.as_dict(),
             "margins": self.margins.as_dict(),
-        }
+        } | (
+            {"measured_margins": {one.name: margins_as_dict(one.after) for one in self.measured_margins}}
+            if self.measured_margins
+            else {}
+        )
 
 
 def tuned_axis(axis: Axis, controller: Controller, *, friction: bool) -> Axis:
@@ -116,6 +125,7 @@ def tuning_result(
     tuned: GainSearch,
     margins: Sequence[ControllerMargins],
     runs: Sequence[ScenarioComparison],
+    measured_margins: tuple[MeasuredMargins, ...] = (),
 ) -> TuningResult:
     """The result, with what is to be said of it."""
     accepted = is_accepted(tuned, runs)
@@ -142,6 +152,7 @@ def tuning_result(
         objective=objective,
         options=options,
         status=Status(accepted, message, code=code),
+        measured_margins=measured_margins,
     )
 
 

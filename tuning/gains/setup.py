@@ -9,10 +9,14 @@ import numpy as np
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.errors import ParameterError
+from diffdrive.frequency.response import FrequencyResponse
 from diffdrive.loop.convergence import innovation_load_observer
+from diffdrive.loop.linearise import OperatingPoint
+from diffdrive.loop.measured import measured_plant
 from diffdrive.loop.smooth import smooth
 from diffdrive.model.parameters import Sampling
 from diffdrive.numerics.arrays import as_arrays
+from tuning.gains.measured import MeasuredMachine
 from tuning.gains.objective import Objective
 from tuning.gains.plan import TuningPlan, held_out_scenarios, run_scenario, training_scenarios
 from tuning.gains.requirements import AsGiven, Constraints, LoopLimits, Requirements, operating_points
@@ -38,6 +42,7 @@ class TuningSetup(NamedTuple):
     speeds: tuple[float, ...]  # m/s, at which margins are looked at
     friction: bool  # tuned along
     notes: tuple[str, ...]
+    measured: tuple[FrequencyResponse, ...] = ()  # in whose loops the margins are kept, too
 
 
 def set_up(
@@ -47,6 +52,7 @@ def set_up(
     objective: Objective = Objective(),
     *,
     friction: bool = False,
+    measured: Sequence[FrequencyResponse] = (),
 ) -> TuningSetup:
     """Scenarios, constraints and search space of a tuning as planned. Raises `ParameterError` and `MotionError`."""
     if friction and not isinstance(axis.controller, FrictionCompensation):
@@ -64,10 +70,30 @@ def set_up(
         gain_factors(axis.controller, friction=friction).keys() - {parameter.path for parameter in space.free}
     ):
         notes.append(f"0 in the drive file, and so not tuned, since no factor leads away from it: {', '.join(left)}.")
+    notes += [
+        f"{one.name}: measured from {one.frequency[0]:.3g} to {one.frequency[-1]:.4g} Hz; its margins hold within."
+        for one in measured
+    ]
+    constraints = Constraints(limits, grid, coarse, _measured_machines(axis, plan, coarse, measured))
     return TuningSetup(
-        training, held_out_runs, lanes, limits, Constraints(limits, grid, coarse), space, speeds, friction,
-        tuple(notes),
-    )  # fmt: skip
+        training, held_out_runs, lanes, limits, constraints, space, speeds, friction, tuple(notes), tuple(measured)
+    )
+
+
+def _measured_machines(
+    axis: Axis, plan: TuningPlan, sampling: Sampling, measured: Sequence[FrequencyResponse]
+) -> tuple[MeasuredMachine, ...]:
+    """The measured plants, about the speed that is tuned at and under the lowest load."""
+    drive, controller = as_arrays((smooth(axis.drive), smooth(axis.controller)))
+    point = as_arrays(OperatingPoint(plan.top_speed, plan.loads[0]))
+    return tuple(
+        MeasuredMachine(
+            drive,
+            point,
+            measured_plant(drive, controller, sampling, point, one.of, one.frequency, one.at_table(axis.sheet)),
+        )
+        for one in measured
+    )
 
 
 def _require_shown(

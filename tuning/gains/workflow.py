@@ -1,9 +1,12 @@
 """`tuning.tune`: gains by gradient within requirements, proved on what they were not tuned on."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from diffdrive.axis import Axis, require_axis
+from diffdrive.frequency.response import FrequencyResponse
 from diffdrive.motion.motion import Motion, require_motion
+from tuning.gains.measured import measured_margins_of
 from tuning.gains.objective import Objective
 from tuning.gains.plan import SETTLE, TuningPlan, spread_of
 from tuning.gains.requirements import Requirements
@@ -24,6 +27,7 @@ def tune(
     load_steps: int = 4,
     requirements: Requirements = Requirements(),
     objective: Objective = Objective(),
+    measured: FrequencyResponse | Sequence[FrequencyResponse] = (),
     friction: bool = False,
     spread: str | float = 0.03,
     machines: int = 2,
@@ -48,6 +52,9 @@ def tune(
         load_steps: Loads that it is tuned under, evenly spaced between these two; at least 2 where they differ.
         requirements: Margins, command noise and load error that the tuned loop must keep.
         objective: What is minimised; by default the RMS tracking error.
+        measured: A measured frequency response of the machine, or several, such as along its stroke: the margins are
+            kept in the loops with these in the place of the model's plant, too, within their bands. Of a closed loop it
+            was measured with the gains of `axis`.
         friction: Tune what the observer believes of the friction along.
         spread: Relative deviation of the machines' parameters from the axis's, such as `"3%"` or 0.03; at most 0.5.
         machines: How many machines it is tuned on, the axis's own among them.
@@ -81,8 +88,9 @@ def tune(
         motion=motion, settle=settle,
     )  # fmt: skip
     options = SearchOptions(starts, seed, max_steps)
+    responses = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
     with reporting(progress) as tell:
-        prepared = set_up(axis, plan, requirements, objective, friction=friction)
+        prepared = set_up(axis, plan, requirements, objective, friction=friction, measured=responses)
         with searching(tell, f"tuning {len(prepared.space.names)} gains by gradient") as step:
             tuned = search_gains(
                 axis.controller, prepared.lanes, prepared.constraints, prepared.space, objective=objective,
@@ -90,7 +98,8 @@ def tune(
             )  # fmt: skip
         tell("verifying on the exact simulator", 0, 1)
         margins = margins_at(axis, [axis.controller, tuned.controller], plan)
+        of_measured = measured_margins_of(axis, tuned.controller, responses, plan.top_speed, plan.loads[0])
         runs = verify(axis, tuned.controller, prepared, plan.settle)
         tell("verifying on the exact simulator", 1, 1)
-    result = tuning_result(axis, plan, prepared, objective, options, tuned, margins, runs)
+    result = tuning_result(axis, plan, prepared, objective, options, tuned, margins, runs, of_measured)
     return result.require_ok() if throw else result
