@@ -1,4 +1,4 @@
-"""The commands about one drive file: demo, simulate, tune."""
+"""The commands about one drive file: demo, simulate, margins, tune."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +11,8 @@ from experiments.cli.options import (
     DriveFile,
     LoadText,
     Machine,
+    MeasuredOf,
+    MeasuredUnit,
     MotionText,
     Out,
     Seed,
@@ -60,6 +62,42 @@ def simulate(
     from experiments.reports.simulation import simulate_drive
 
     if not simulate_drive(drive, motion, load, machine, settle, seed, out):
+        raise typer.Exit(3)
+
+
+@drives.command(cls=Computing)
+def margins(
+    drive: DriveFile,
+    measured: Annotated[
+        Path | None,
+        typer.Option(help="Measured frequency response: CSV, or the XML of SINUMERIK's auto servo tuning."),
+    ] = None,
+    of: MeasuredOf = None,
+    unit: MeasuredUnit = None,
+    speed: Annotated[str, typer.Option(help="Speed at which the loop is linearised; 0 is standstill.")] = "10 mm/s",
+    load: Annotated[str, typer.Option(help="Load on the guides.")] = "0 N",
+    out: Out = None,
+    svg: Svg = False,
+) -> None:
+    """Stability margins of the linearised loop, and of that with a measured frequency response in its plant's place.
+
+    With --measured it says which resonances each loop has and where they part, and draws both. A loop that is unstable
+    ends the command with code 3.
+
+    Example: `diffdrive margins drive.toml --measured plant.csv --of plant --unit "(rad/s)/(N*m)" --out margins`
+    """
+    from diffdrive.axis_file.drive_file import read_axis
+    from diffdrive.frequency.read import read_frequency_response
+    from diffdrive.motion.text import nonnegative_number, number
+    from experiments.reports.margins import report_margins
+    from experiments.reports.report import Report
+
+    axis = read_axis(drive)
+    velocity, force = number(speed, "m/s", "--speed", axis.sheet), nonnegative_number(load, "N", "--load", axis.sheet)
+    response = None if measured is None else read_frequency_response(measured, of, unit=unit)
+    with Report(f"{drive.name}: margins", out) as report:
+        stable = report_margins(report, axis, response, velocity=velocity, load=force)
+    if not stable:
         raise typer.Exit(3)
 
 
@@ -121,6 +159,15 @@ def tune(
             help="How the errors of all scenarios become one: mean, worst or cvar (mean of the worst quarter)."
         ),
     ] = "mean",
+    measured: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Measured frequency response, in whose loop the margins are kept, too: CSV, or the XML of "
+            "SINUMERIK's auto servo tuning; repeatable."
+        ),
+    ] = None,
+    of: MeasuredOf = None,
+    unit: MeasuredUnit = None,
     friction: Annotated[bool, typer.Option("--friction", help="Also tune the observer's friction parameters.")] = False,
     starts: Annotated[
         int, typer.Option(callback=count_of, min=1, help="Number of starts; the first is the file's gains.")
@@ -144,6 +191,7 @@ def tune(
     """
     from diffdrive.axis_file.drive_file import read_axis
     from diffdrive.errors import ParameterError
+    from diffdrive.frequency.read import read_frequency_response
     from diffdrive.motion.text import nonnegative_number, number, numbers, require_choice
     from experiments.reports.report import Report
     from experiments.reports.tuning import tune_and_report
@@ -173,11 +221,13 @@ def tune(
     front = numbers(pareto, "N", "--pareto", axis.sheet) if pareto else []
     if any(limit <= 0.0 for limit in front):
         raise ParameterError(f"--pareto {pareto}: each limit must be above 0")
+    responses = [read_frequency_response(one, of, unit=unit) for one in measured or ()]
     with Report(f"{drive.name}: gradient tuning over loads and machines", out) as report:
         result = tune_and_report(
             axis, report, pareto=front, speed=speed_of_reversal, loads=(0.0, highest), load_steps=loads,
             requirements=requirements, objective=Objective(peak=1e6 * peak, aggregation=aggregation),
-            friction=friction, spread=spread, machines=machines, starts=starts, seed=seed, max_steps=steps,
+            measured=responses, friction=friction, spread=spread, machines=machines, starts=starts, seed=seed,
+            max_steps=steps,
         )  # fmt: skip
     if not result.accepted:
         raise typer.Exit(3)

@@ -116,6 +116,18 @@ Machine = Annotated[
     Path | None,
     typer.Option("--machine", help="Drive file of the machine, where it differs from the controller's nominal model."),
 ]
+MeasuredOf = Annotated[
+    str | None,
+    typer.Option(
+        "--of",
+        help="What the measured response is of: plant (torque that acts to speed), plant-with-current-loop (torque "
+        "set-point to speed), speed-loop, position-loop (closed), open-loop (opened at the force). An XML says it.",
+    ),
+]
+MeasuredUnit = Annotated[
+    str | None,
+    typer.Option("--unit", help="Unit of a measured plant: `(rad/s)/(N*m)` of the motor, `(m/s)/N` at the table."),
+]
 Settle = Annotated[
     float,
     typer.Option("--settle", callback=finite, min=0.0, help="Seconds at the start that do not count for the errors."),

@@ -8,6 +8,7 @@ from rich.console import Console
 from diffdrive.errors import ParameterError
 from diffdrive.logs.encoders.result import EncoderComparison
 from diffdrive.loop.run import Run
+from diffdrive.measured_loop import FrequencyComparison
 from diffdrive.results import Result
 from experiments.reports.controller import report_controller
 from experiments.reports.diagnosis.figures import save_diagnosis_figures
@@ -15,6 +16,7 @@ from experiments.reports.diagnosis.files import write_augmented, write_reference
 from experiments.reports.diagnosis.page import print_answers, write_page
 from experiments.reports.encoders import report_encoders
 from experiments.reports.identification.identification import report_identification
+from experiments.reports.margins import report_comparison
 from experiments.reports.report import Report
 from experiments.reports.simulation import write_simulation
 from experiments.reports.sweep.sweep import introduce, report_sweep
@@ -77,6 +79,11 @@ def _(result: EncoderComparison, writer: Report) -> None:
 @section.register
 def _(result: ControllerEstimate, writer: Report) -> None:
     report_controller(writer, result)
+
+
+@section.register
+def _(result: FrequencyComparison, writer: Report) -> None:
+    report_comparison(writer, result)
 
 
 @section.register

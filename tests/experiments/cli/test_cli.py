@@ -36,7 +36,10 @@ def numbers(folder):
 
 def test_help_names_every_command():
     shown = run("--help").output
-    commands = "demo simulate start check identify diagnose tune sweep replay convergence reproduce bench template keys"
+    commands = (
+        "demo simulate margins start check identify diagnose tune sweep replay convergence reproduce bench template "
+        "keys"
+    )
     for command in commands.split():
         assert command in shown
         assert run(command, "--help").exit_code == 0

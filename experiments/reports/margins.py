@@ -1,0 +1,105 @@
+"""`diffdrive margins`: margins of a loop, with a measured frequency response beside the model's."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from diffdrive.axis import Axis
+from diffdrive.frequency.response import FrequencyResponse
+from diffdrive.linearisation import StabilityMargins, linearise
+from diffdrive.measured_loop import FrequencyComparison, compare_frequency_response, margins_as_dict
+from experiments.reports.report import Report, new_figure, plain_logarithmic
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLUMNS = ("loop", "gain up dB", "gain down dB", "phase deg", "peak sensitivity", "crossover Hz", "stable")
+
+
+def report_margins(
+    report: Report, axis: Axis, measured: FrequencyResponse | None, *, velocity: float, load: float
+) -> bool:
+    """The margins of the model's loop, and of the loop with what was measured; whether all loops are stable."""
+    if measured is None:
+        with report.working("linearising the loop"):
+            margins = linearise(axis, velocity=velocity, load=load).margins()
+        report.table("margins", COLUMNS, [_row("model", margins)], _title(velocity, load))
+        return bool(margins.stable)
+    with report.working("linearising the loop"):
+        comparison = compare_frequency_response(axis, measured, velocity=velocity, load=load)
+    report_comparison(report, comparison, _title(velocity, load))
+    return comparison.status.ok and bool(comparison.model_margins.stable)
+
+
+def report_comparison(report: Report, comparison: FrequencyComparison, title: str = "Margins") -> None:
+    """Margins and resonances of both loops, where they part, and the picture."""
+    departure, at = comparison.largest_departure
+    if not comparison.status.ok:
+        report.print(comparison.status.message, style="bold")
+    rows = [_row("measured", comparison.margins), _row("model", comparison.model_margins)]
+    report.table("margins", COLUMNS, rows, title, notes=list(comparison.notes))
+    peaks = [
+        [name, one.frequency, one.damping, one.gain]
+        for name, found in (("measured", comparison.resonances), ("model", comparison.model_resonances))
+        for one in found
+    ]
+    if peaks:
+        report.table("resonances", ("loop", "Hz", "damping", "|L|"), peaks, "Peaks of |L| above the crossover")
+    report.keep("comparison", of=comparison.measured.of, largest_departure=departure, largest_departure_Hz=at)
+    share = "it may be stable where the other is not" if departure >= 1.0 else "either is stable if the other is"
+    report.say(f"The loops part most at {at:.4g} Hz, by {departure:.2g} of the model's distance to -1: {share}.")
+    report.record("frequency_response", (
+        "Hz", "measured dB", "measured deg", "model dB", "model deg", "share of the distance to -1",
+    ), [list(row) for row in zip(
+        comparison.frequency, *_gain_and_phase(comparison.loop), *_gain_and_phase(comparison.model_loop),
+        comparison.departure, strict=True,
+    )])  # fmt: skip
+    report.figure("frequency_response", comparison_figure(comparison))
+
+
+def comparison_figure(comparison: FrequencyComparison) -> "Figure":
+    """Gain and phase of the open loop, measured over model, the share of the distance to -1, and the coherence."""
+    coherence = comparison.measured.coherence
+    figure, axes = new_figure(3 if coherence is None else 4, 1, width=8.0, height=2.4)
+    frequency = comparison.frequency
+    gain, phase, share = axes[:3]
+    for label, loop, style in (
+        ("model", comparison.model_loop, {"color": "0.4", "lw": 1.6}),
+        ("measured", comparison.loop, {"color": "C0", "lw": 0.9}),
+    ):
+        decibels, degrees = _gain_and_phase(loop)
+        gain.semilogx(frequency, decibels, label=label, **style)
+        phase.semilogx(frequency, degrees, **style)
+    gain.axhline(0.0, color="0.35", lw=0.9)
+    phase.axhline(-180.0, color="0.35", lw=0.9)
+    gain.set(ylabel="|L|, dB")
+    gain.legend(fontsize=7)
+    phase.set(ylabel="phase of L, deg")
+    share.loglog(frequency, comparison.departure, color="C3", lw=0.9)
+    share.axhline(1.0, color="0.35", lw=0.9)
+    share.set(ylabel="|L' - L| / |1 + L|")
+    if coherence is not None:
+        within = comparison.measured.frequency <= frequency[-1]
+        axes[3].semilogx(comparison.measured.frequency[within], coherence[within], color="C2", lw=0.9)
+        axes[3].set(ylabel="coherence", ylim=(0.0, 1.05))
+    axes[-1].set(xlabel="frequency, Hz")
+    plain_logarithmic(axes[-1].xaxis)
+    return figure
+
+
+def _gain_and_phase(loop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """In dB, and in degrees between -360 and 0, where loops cross over."""
+    degrees = np.degrees(np.angle(loop))
+    return 20.0 * np.log10(np.abs(loop)), np.where(degrees > 0.0, degrees - 360.0, degrees)
+
+
+def _row(name: str, margins: StabilityMargins) -> list[object]:
+    found = margins_as_dict(margins)
+    return [
+        name, found["gain_margin_up_dB"], found["gain_margin_down_dB"], found["phase_margin_deg"],
+        found["peak_sensitivity"], found["crossover_Hz"], "yes" if found["stable"] else "NO",
+    ]  # fmt: skip
+
+
+def _title(velocity: float, load: float) -> str:
+    return f"Margins at {1e3 * velocity:g} mm/s under {1e-3 * load:g} kN"
