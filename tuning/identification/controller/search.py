@@ -172,7 +172,20 @@ def _starts(problem: Problem) -> list[np.ndarray]:
         minima = np.isfinite(costs) & (costs <= np.minimum(around[:-2], around[2:]))
         found += [(float(costs[k]), points[k]) for k in np.flatnonzero(minima)]
     found = sorted(found, key=lambda one: one[0])[:STARTS]
-    return [_closer(problem, float(start[LOG_KP]), float(start[INSTANTS:].sum())) for _, start in found]
+    starts = [_closer(problem, float(start[LOG_KP]), float(start[INSTANTS:].sum())) for _, start in found]
+    return starts + (_read_off(problem) if problem.reading is Reading.EVERY_SAMPLE else [])
+
+
+def _read_off(problem: Problem) -> list[np.ndarray]:
+    """The gains as coefficients that no law binds say them, if they are positive.
+
+    Of exact logs they are right to some digits, also where the grid has no valley of its own: K_v near the inverse
+    reset time is a double root of the others.
+    """
+    error, _, speed, _, acceleration, lag, summed_lag = _least(problem.regressors[None], problem.commands[:, 0])[0]
+    if not (lag > 0 and error > 0):
+        return []
+    return [np.array([np.log(error / lag), -speed / error, np.log(lag), summed_lag / lag, acceleration / lag])]
 
 
 def _closer(problem: Problem, log_kp: float, window: float) -> np.ndarray:

@@ -54,6 +54,14 @@ def test_gains_of_a_trace_slower_than_the_loop_are_within_two_per_cent_and_their
     assert estimate.gain(name).determined
 
 
+def test_gains_of_every_sample_are_exact_where_both_loops_are_equally_fast():
+    cascade = replace(TRACE, ratio=1, rate=2000.0, kp=60.0, reset_time=1.0 / 60.0, velocity_samples=4)
+    found = tuning.identify_controller(None, cascade.log(2.0, seed=9), control_rate=cascade.rate)
+    assert found.logs[0].reading is Reading.EVERY_SAMPLE
+    for name in ("kp", "kv", "reset_time"):
+        assert abs(relative(found, cascade, name)) < 2e-3
+
+
 def test_feed_forwards_that_are_not_there_are_none(estimate):
     for name in ("velocity_feedforward", "acceleration_feedforward"):
         low, high = estimate.interval(name)
