@@ -25,13 +25,14 @@ class EstimateStatus(enum.StrEnum):
     FIXED = "fixed"
     UNDETERMINED = "not determined"
     AT_BOUND = "at its bound"
+    IN_A_SUM = "only in a sum"  # with a parameter that the logs do not determine: as good as that one's value
 
 
 class ParameterEstimate(NamedTuple):
     """One parameter as found, between `low` and `high` with 95 % confidence.
 
-    Both are `value` where it was not fitted, and NaN where it ended at its bound. The search was free to move it from
-    `lowest` to `highest`, the others as found; both are `value` where it was not free.
+    Both are `value` where it was not fitted, and NaN where it ended at its bound or is known only in a sum. The search
+    was free to move it from `lowest` to `highest`, the others as found; both are `value` where it was not free.
     """
 
     path: str  # in the axis, with .positive or .negative where the directions differ
@@ -122,8 +123,11 @@ def estimates(
             status = EstimateStatus.AT_BOUND
         else:
             status = EstimateStatus.FITTED if np.any(direction) else EstimateStatus.FIXED
-        if status is EstimateStatus.AT_BOUND:
-            low, high = np.nan, np.nan  # the optimum may lie beyond: no interval describes that
+        if status is EstimateStatus.FITTED and _rests_on_open_slope(row, problem, undetermined):
+            status = EstimateStatus.IN_A_SUM
+        if status in (EstimateStatus.AT_BOUND, EstimateStatus.IN_A_SUM):
+            # the optimum may lie beyond; or another share of the sum would do as well: no interval describes that
+            low, high = np.nan, np.nan
         elif row.parameter.is_signed or value <= 0:
             low, high = value - width, value + width
         else:
@@ -133,6 +137,14 @@ def estimates(
         unit, believed, found = row.parameter.unit, float(row.value), (float(value), float(low), float(high))
         table.append(ParameterEstimate(row.path, unit, believed, *found, lowest, highest, status))
     return table, covariance_of_values * (covariance.quantile / NORMAL) ** 2
+
+
+def _rests_on_open_slope(row: ReportedParameter, problem: IdentificationProblem, undetermined: set[str]) -> bool:
+    """Whether it is what an undetermined load coefficient leaves of the friction at no load."""
+    slope = f"load_coefficient{row.side}"
+    return row.path.startswith("friction.coulomb_screw") and (
+        slope in undetermined and float(problem.believed.friction.initial_load) > 0.0
+    )
 
 
 def _reported_bounds(

@@ -73,7 +73,13 @@ def build_problem(
     if "load_coefficient" not in fixed_names and _has_one_load(problem):
         fixed_names.add("load_coefficient")
         unexcited = frozenset(path for path in free_paths(believed) if path.startswith("load_coefficient"))
-        notes.append("these logs hold one load: load_coefficient stays as in the drive file")
+        note = "these logs hold one load: load_coefficient stays as in the drive file"
+        if float(drive.friction.initial_load) > 0 and "coulomb" not in fixed_names:
+            note += (
+                ", and coulomb_screw is what it leaves of coulomb_at_no_load, the sum that they determine; the same "
+                "motion under a second load would part them"
+            )
+        notes.append(note)
     if "load_coefficient" not in fixed_names and float(drive.friction.initial_load) > 0:
         notes.append(
             "coulomb_screw rests on the drive file's initial_load, which no log shows; their sum at no load does not"

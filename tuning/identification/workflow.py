@@ -66,10 +66,11 @@ class IdentificationResult(Result):
     def interval(self, name: str) -> tuple[float, float]:
         """The 95 % interval of one parameter.
 
-        Without end (infinite) where the logs do not determine it; of no width for one that was held fixed.
+        Without end (infinite) where the logs do not determine it, or only in a sum; of no width for one that was held
+        fixed.
         """
         estimate = self.estimate(name)
-        if estimate.status in (EstimateStatus.UNDETERMINED, EstimateStatus.AT_BOUND):
+        if estimate.status in (EstimateStatus.UNDETERMINED, EstimateStatus.AT_BOUND, EstimateStatus.IN_A_SUM):
             return (-np.inf, np.inf)
         return (estimate.low, estimate.high)
 

@@ -28,11 +28,14 @@ class Uncertainty(NamedTuple):
 
 
 def uncertainty(found: Identification) -> Uncertainty:
-    """Each fitted parameter's distribution by its name in a drive, and the correlations between them."""
+    """Each fitted parameter's distribution by its name in a drive, and the correlations between them.
+
+    One that is known only in a sum varies as the sum does: its other part stays as in the drive.
+    """
     kept = [
         k
         for k, one in enumerate(found.estimates)
-        if one.status is EstimateStatus.FITTED
+        if one.status in (EstimateStatus.FITTED, EstimateStatus.IN_A_SUM)
         and parameter_at(one.path).in_drive
         and found.estimate_covariance[k, k] > 0.0
     ]

@@ -12,7 +12,9 @@ from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 
 WIDEST = 30.0  # ratio at which the axis ends; what lies beyond is drawn as an arrow at its end
 LINEAR = 2.0  # ratio up to which the axis is linear
-COLOURS = {EstimateStatus.FITTED: "C0", EstimateStatus.AT_BOUND: "C3"}  # grey: not fitted
+COLOURS = {  # grey: not fitted
+    EstimateStatus.FITTED: "C0", EstimateStatus.IN_A_SUM: "C1", EstimateStatus.AT_BOUND: "C3",
+}  # fmt: skip
 
 
 def forest(estimates: Sequence[ParameterEstimate]) -> Figure:

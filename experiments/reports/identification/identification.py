@@ -166,7 +166,7 @@ def estimates_table(report: Report, found: Identification) -> None:
 
     def row(one: ParameterEstimate) -> list[object]:
         interval = [one.low, one.high] if one.status is EstimateStatus.FITTED else [None, None]
-        free = one.status in (EstimateStatus.FITTED, EstimateStatus.AT_BOUND)
+        free = one.status in (EstimateStatus.FITTED, EstimateStatus.AT_BOUND, EstimateStatus.IN_A_SUM)
         within = [_short(one.lowest), _short(one.highest)] if free else [None, None]
         return [one.name, one.unit, one.believed, one.value, *interval, *within, one.status]
 

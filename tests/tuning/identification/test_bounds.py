@@ -13,7 +13,7 @@ from diffdrive.model.quantity import Directional
 from experiments.studies.recovery.excitation import FAST, MEDIUM, SLOW, concatenate, resting, strokes
 from experiments.studies.recovery.truth import truth_log
 from tests.support.known_machine import BELIEVED, GAINS, MACHINE, RATE, by_name
-from tuning.identification.estimates import estimates
+from tuning.identification.estimates import EstimateStatus, estimates
 from tuning.identification.identify import COARSE_STEPS, identify
 from tuning.identification.problem import Innovations
 from tuning.identification.refinement import MAX_ROUGH_STEPS, MAX_STEPS
@@ -165,3 +165,35 @@ def test_logs_that_cannot_be_used_are_refused_with_the_mend():
     torn = replace(log, name="torn", gaps=tuple(range(150, len(log.time), 150)))
     with pytest.raises(LogError, match=r"no stretch of 200 samples without a gap in torn"):
         identify([torn], BELIEVED)
+
+
+def statuses(logs, fixed=(), drive=BELIEVED):
+    """Of the start, as if every parameter were known to a hundredth: by path."""
+    question = build_problem(logs, drive, fixed, {})
+    count = len(question.free)
+    known = Covariance(1e-4 * np.eye(count), 80, 1.0)
+    innovations = Innovations(question.free, Sampling(RATE))
+    table, _ = estimates(np.zeros(count), innovations, question.problem, known, set(question.unexcited))
+    return {one.path: one for one in table}
+
+
+def test_under_one_load_the_friction_at_no_load_is_known_and_its_parts_are_not():
+    found = statuses([short_log()])
+    for side in ("positive", "negative"):
+        assert found[f"friction.coulomb_at_no_load.{side}"].status is EstimateStatus.FITTED
+        assert found[f"friction.load_coefficient.{side}"].status is EstimateStatus.UNDETERMINED
+        screw = found[f"friction.coulomb_screw.{side}"]
+        assert screw.status is EstimateStatus.IN_A_SUM
+        assert np.isnan([screw.low, screw.high]).all()
+    assert any("the sum that they determine" in note for note in build_problem([short_log()], BELIEVED, (), {}).notes)
+
+
+def test_the_screws_share_is_known_where_the_slope_is_or_is_stated_or_where_nothing_presses():
+    friction = replace(BELIEVED.friction, initial_load=0.0)
+    cases = (
+        statuses(two_loads()),
+        statuses([short_log()], fixed=("load_coefficient",)),
+        statuses([short_log()], drive=replace(BELIEVED, friction=friction)),
+    )
+    for found in cases:
+        assert found["friction.coulomb_screw.positive"].status is EstimateStatus.FITTED
