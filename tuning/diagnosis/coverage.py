@@ -1,13 +1,10 @@
 """What a log can tell at all: whether it moves, turns, runs at several speeds, and is not saturated throughout."""
 
-from typing import NamedTuple
-
 import numpy as np
-from jaxtyping import Bool, Float
 
 from tuning.diagnosis.model import Logged
 from tuning.diagnosis.setting import Setting
-from tuning.diagnosis.where import SLOWEST
+from tuning.identification.shown_motion import LARGEST, Shortcoming, shown_velocity
 
 SHORTEST = 1.0  # s of motion
 TRAVEL = 10.0  # times the bristle's bend before it slides
@@ -15,20 +12,6 @@ SCATTER = 20.0  # standard deviations of the measured position, which noise and 
 SPEEDS = 2.0  # ratio of the fast to the slow part of the motion
 SATURATED = 0.5  # of the time in which it moves, at the limit
 AT_THE_LIMIT = 0.98  # of it: a measured command is noisy
-LARGEST = 99.5  # percentile: the limit that the command itself shows, and the largest speed
-WINDOWS = (5e-3, 5e-2, 0.5)  # s, over which the velocity is told: the longer, the slower a motion stands out from noise
-CLEARLY = 2.0  # times what noise alone may seem to move at, that the fastest of the motion is: the noise is in it, too
-SLOW = 0.1  # of the 95th percentile of speed, which counts as motion where that is slow throughout
-CHATTER = 4.0  # standard deviations of the measured velocity, below which nothing says that the table moves
-
-
-class Shortcoming(NamedTuple):
-    """Something that the logs cannot tell, why, and the motion that would."""
-
-    what: str
-    why: str
-    motion: str
-    hopeless: bool = False  # nothing can be told at all
 
 
 def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
@@ -46,7 +29,7 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
                     hopeless=True,
                 )
             ]
-    few, velocity, slowest = _told(position, counts, noise, rate)
+    few, velocity, slowest = shown_velocity(position, counts, noise, rate)
     moves = counts[:, few:] & (np.abs(velocity) > slowest)
     moving = velocity[moves]
     found = []
@@ -98,25 +81,3 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
             )
         )
     return found
-
-
-def _told(
-    position: Float[np.ndarray, "lanes n"], counts: Bool[np.ndarray, "lanes n"], noise: float, rate: float
-) -> tuple[int, Float[np.ndarray, "lanes m"], float]:
-    """Over how many samples the velocity is told, the velocity (m/s), and above which speed (m/s) the table moves.
-
-    The shortest window over which any motion stands out from the noise; where none does, the first.
-    """
-    found = []
-    for window in WINDOWS:
-        few = max(1, round(window * rate))
-        velocity = (position[:, few:] - position[:, :-few]) * rate / few
-        speed = np.abs(velocity[counts[:, few:]])
-        if not speed.size:
-            break
-        seen = CHATTER * np.sqrt(2.0) * noise * rate / few  # a scale that dithers at rest does not move
-        fast, fastest = np.percentile(speed, [95, LARGEST])
-        found.append((few, velocity, float(max(min(SLOWEST, SLOW * fast), seen))))
-        if fastest > CLEARLY * seen:
-            return found[-1]
-    return found[0]

@@ -24,7 +24,7 @@ from diffdrive.support.rates import is_same_rate
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.command_left import doubted_by_command
-from tuning.diagnosis.coverage import Shortcoming, shortcomings
+from tuning.diagnosis.coverage import shortcomings
 from tuning.diagnosis.events import doubted_by_event
 from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, explain
 from tuning.diagnosis.exposure import in_parts
@@ -44,6 +44,7 @@ from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
 from tuning.identification.prediction import Lanes
 from tuning.identification.problem import MIN_LANE_SAMPLES, lanes_of, long_pieces, noise_floor, sampling_of
+from tuning.identification.shown_motion import Shortcoming
 from tuning.store.store import Store
 
 SUBSTEP = 50e-6  # s

@@ -22,10 +22,10 @@ from tuning.diagnosis.following import LASTING
 from tuning.diagnosis.gap import ForceGap
 from tuning.diagnosis.lines import Standing, lines_in_position, lines_in_time, told_apart
 from tuning.identification.prediction import Lanes
+from tuning.identification.shown_motion import SLOWEST
 
 LAID = 4000  # times that the energy is laid elsewhere: a single region must stand out from some forty
 PIECE, CELL = 0.25, 5e-3  # s: what is laid together, and what is told apart within it
-SLOWEST = 2e-4  # m/s, below which the table is at rest
 SETTLING = 0.05  # s about a change of direction that count as the reversal
 STEADY = 0.15  # of the largest acceleration, below which a motion is a cruise
 PLACES, TIMES, SPEEDS = 6, 6, 4

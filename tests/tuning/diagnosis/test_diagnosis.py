@@ -23,7 +23,7 @@ from experiments.studies.withheld.score import score
 from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
 from tuning.diagnosis.beginnings import _window
 from tuning.diagnosis.calibration import NAMES, calibrated
-from tuning.diagnosis.coverage import Shortcoming, shortcomings
+from tuning.diagnosis.coverage import shortcomings
 from tuning.diagnosis.diagnose import _credible, _within, diagnose, logged_of
 from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.gap import ForceGap
@@ -35,6 +35,7 @@ from tuning.diagnosis.verdict import Belief, Verdict
 from tuning.diagnosis.where import localise
 from tuning.diagnosis.workflow import augmented_drive
 from tuning.experiment_design.next_motion import candidates
+from tuning.identification.shown_motion import Shortcoming
 
 OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
 
