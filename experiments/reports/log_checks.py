@@ -5,13 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
+from diffdrive.axis import Axis
+from diffdrive.errors import LogError
 from diffdrive.logs.checks.encoders import compared
 from diffdrive.logs.log import CHANNELS, Log
 from experiments.reports.checked_logs import EXTRA, axis_with_overrides, parse_loads, read_and_check
 from experiments.reports.controller import report_controller
 from experiments.reports.encoders import report_encoders
+from experiments.reports.readable import titled
 from experiments.reports.report import Report
 from tuning.identification.controller.workflow import identify_controller
+from tuning.identification.excitation import shortcomings
+from tuning.identification.shown_motion import Shortcoming
 
 SMOOTH = 5e-3  # s, over which a speed is taken
 
@@ -51,6 +56,9 @@ def check_logs(
         rows = [_row(log) for log in checked.logs]
         report.record("logs", names, rows)
         report.show("What the logs hold", (*names[:3], "length, s", *names[4:8], "largest command N", names[9]), rows)
+        if not fatal:
+            for lack in _shortcomings(checked.logs, description):
+                report.say(f"{titled(lack.sentence)}.")
         comparisons = [compared(log, description) for log in checked.logs]
         report_encoders(report, [one for one in comparisons if one is not None])
         if controller:
@@ -58,6 +66,14 @@ def check_logs(
                 estimate = identify_controller(description, list(checked.logs))
             report_controller(report, estimate)
     return not fatal
+
+
+def _shortcomings(logs: Sequence[Log], axis: Axis) -> list[Shortcoming]:
+    """What all these logs together do not determine of the drive; nothing where that cannot be judged."""
+    try:
+        return shortcomings(logs, axis.as_logged().drive)
+    except LogError:
+        return []
 
 
 def findings_in_words(findings: int, fatal: int) -> str:

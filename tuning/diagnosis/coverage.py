@@ -4,12 +4,11 @@ import numpy as np
 
 from tuning.diagnosis.model import Logged
 from tuning.diagnosis.setting import Setting
+from tuning.identification.excitation import ONE_WAY, SHORTEST, SPEEDS
 from tuning.identification.shown_motion import LARGEST, Shortcoming, shown_velocity
 
-SHORTEST = 1.0  # s of motion
 TRAVEL = 10.0  # times the bristle's bend before it slides
 SCATTER = 20.0  # standard deviations of the measured position, which noise and a servo that hunts may span
-SPEEDS = 2.0  # ratio of the fast to the slow part of the motion
 SATURATED = 0.5  # of the time in which it moves, at the limit
 AT_THE_LIMIT = 0.98  # of it: a measured command is noisy
 
@@ -50,7 +49,7 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
             )
         )
     shares = [float(np.mean(way * moving > 0)) for way in (1, -1)]
-    if min(shares) < 0.02:
+    if min(shares) < ONE_WAY:
         found.append(
             Shortcoming(
                 "asymmetry, constant forces, backlash and the friction at reversals",

@@ -19,6 +19,7 @@ from tuning.identification.regressors import DIRECTIONAL
 # Friction less than half, or more than twice, of what the command shows while the table slides that way: the rest of
 # the command is then a force of another kind, as large as the friction itself.
 FACTOR = 2.0
+HARDLY = 0.1  # half of an interval over the value, from which a parameter is hardly determined
 CHANCE = 0.01  # that the disturbance of a held-out log seems to rise
 
 
@@ -45,7 +46,8 @@ class DeterminedSum(NamedTuple):
 def determined_sums(found: Identification) -> list[DeterminedSum]:
     """Of each pair of parameters that the logs hardly tell apart, what they determine: their sum, or their difference.
 
-    Of pairs of one unit; the sum of others means nothing to a reader.
+    Of pairs of one unit; the sum of others means nothing to a reader. And where a part is hardly determined, measured
+    by the larger of the two: a constant force of 0 ± 2 N beside 250 N of friction is known as well as it need be.
     """
     order = {one.path: k for k, one in enumerate(found.estimates) if one.status is EstimateStatus.FITTED}
     sums = []
@@ -54,6 +56,10 @@ def determined_sums(found: Identification) -> list[DeterminedSum]:
             continue
         one, other = (found.estimates[order[path]] for path in (first, second))
         if one.unit != other.unit:
+            continue
+        largest = max(found.estimate_covariance[order[path], order[path]] for path in (first, second))
+        widest = NORMAL * float(np.sqrt(largest))
+        if widest <= HARDLY * max(abs(one.value), abs(other.value)):
             continue
         sign = -1 if correlation > 0 else 1
         weights = np.zeros(len(found.estimates))
@@ -66,7 +72,19 @@ def determined_sums(found: Identification) -> list[DeterminedSum]:
 
 def doubts(found: Identification, believed: Drive, logs: Sequence[Log], held_out: Sequence[Log]) -> list[str]:
     """What speaks against the answer, one sentence each; none where nothing does."""
-    return [*_leaves_inverse_dynamics(found, believed, logs), *_rises(found, believed, held_out)]
+    against = [*_starts_disagree(found), *_leaves_inverse_dynamics(found, believed, logs)]
+    return [*against, *_rises(found, believed, held_out)]
+
+
+def _starts_disagree(found: Identification) -> list[str]:
+    """Another start that explains the logs as well, elsewhere."""
+    if not found.rival:
+        return []
+    values = ", ".join(one.words for one in found.rival)
+    return [
+        f"the starts disagree: another search explains the logs as well with {values}; these logs do not decide, so "
+        "add a motion that does, or fix what you know"
+    ]
 
 
 def _leaves_inverse_dynamics(found: Identification, believed: Drive, logs: Sequence[Log]) -> list[str]:

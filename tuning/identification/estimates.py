@@ -88,6 +88,12 @@ def reported_parameters(drive: Drive, unknowns: Unknowns, symmetric: frozenset[s
     return rows
 
 
+def symmetric_bristle(problem: IdentificationProblem) -> frozenset[str]:
+    """Which parameters of the bristle have one value for both directions."""
+    both = ("bristle_stiffness", "bristle_damping")
+    return frozenset(path for path in free_paths(problem.believed_unknowns) if path in both)
+
+
 def estimates(
     theta: Float[np.ndarray, " k"],
     innovations: Innovations,
@@ -104,9 +110,7 @@ def estimates(
         drive, unknowns = innovations.unpack(theta, problem)
         return jnp.stack([jnp.asarray(row.value) for row in reported_parameters(drive, unknowns, symmetric)])
 
-    symmetric = frozenset(
-        path for path in free_paths(problem.believed_unknowns) if path in ("bristle_stiffness", "bristle_damping")
-    )
+    symmetric = symmetric_bristle(problem)
     before = reported_parameters(problem.believed, problem.believed_unknowns, symmetric)
     point = jnp.asarray(theta)
     estimated, slope = np.asarray(values(point)), np.asarray(jax.jacfwd(values)(point))

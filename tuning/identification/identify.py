@@ -34,6 +34,7 @@ from tuning.identification.refinement import (
     was_interrupted,
     without_undetermined,
 )
+from tuning.identification.rivals import RivalValue, rival_values
 from tuning.identification.setup import build_problem
 from tuning.identification.uncertainty import Covariance, repetition_inflation
 from tuning.identification.unknowns import MULTIMODAL
@@ -70,6 +71,7 @@ class Identification:
     notes: tuple[str, ...]
     open_unknowns: frozenset[str]  # paths in the search space of what the logs do not determine
     full_fit: RefinedFit  # with every parameter free, before the undetermined ones were put back
+    rival: tuple[RivalValue, ...] = ()  # what another start has elsewhere, though it explains the logs as well
 
     @property
     def code(self) -> str:
@@ -111,14 +113,17 @@ def identify(
     setup = build_problem(logs, drive, fixed, bounded or {})
     problem, free, rate = setup.problem, setup.free, setup.rate
     coarse = Innovations(free, sampling_of(rate, COARSE_SUBSTEP), COARSE_EVERY)
-    theta, costs, stopped = _many_starts(coarse, problem, starts, seed, progress, store)
+    points, costs, stopped = _many_starts(coarse, problem, starts, seed, progress, store)
+    theta = points[int(np.argmin(costs))]
     progress = _interrupt if stopped else progress
     full_fit = refine(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), theta, problem, setup.noise, progress, store)
     undetermined = _undetermined(full_fit)
     fit = full_fit
     if undetermined and not was_interrupted(full_fit.search):
         fit = refine(*without_undetermined(full_fit, undetermined), setup.noise, progress, store)
+    rival: tuple[RivalValue, ...] = ()
     if not was_interrupted(fit.search):
+        rival = rival_values(full_fit, points, costs, undetermined, progress)
         fit = _with_repetition(refine_substeps(fit, setup.noise, progress, store), rate)
     drive_found, remark = _file_drive(fit)
     missing = missing_force(fit)
@@ -148,6 +153,7 @@ def identify(
         notes=(*setup.notes, *remark),
         full_fit=full_fit,
         open_unknowns=frozenset(undetermined | setup.unexcited),
+        rival=rival,
     )
 
 
@@ -172,22 +178,21 @@ def _many_starts(
     seed: int,
     progress: StepProgress,
     store: Store | None,
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " s"], bool]:
-    """The best of several coarse searches, their costs, and whether they were interrupted.
+) -> tuple[Float[np.ndarray, "s k"], Float[np.ndarray, " s"], bool]:
+    """Where several coarse searches ended, their costs, and whether they were interrupted.
 
     The first starts where the problem says, the others around it.
     """
     points = start_points(coarse.free, starts, seed)
-    key = "" if store is None else digest("starts", coarse, problem, points)
+    key = "" if store is None else digest("ends of starts", coarse, problem, points)
     stored = None if store is None else store.read(key)
     if stored is not None:
-        return stored["theta"], stored["costs"], False
+        return stored["points"], stored["costs"], False
     points[1:2] = _best_delay(coarse, problem)  # as an alternative: under a wrong model the best delay may be wrong
     points_found, costs, stopped = multistart(coarse, points, as_arrays(problem), steps=COARSE_STEPS, progress=progress)
-    best = points_found[int(np.argmin(costs))]
     if store is not None and not stopped:
-        store.write(key, {"theta": best, "costs": costs})
-    return best, costs, stopped
+        store.write(key, {"points": points_found, "costs": costs})
+    return points_found, costs, stopped
 
 
 def _with_repetition(fit: RefinedFit, rate: float) -> RefinedFit:

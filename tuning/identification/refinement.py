@@ -166,13 +166,17 @@ def search_once(
         except KeyboardInterrupt:  # as in the search itself
             status = f"interrupted after {search.steps} steps"
             search = dataclasses.replace(search, outcome=Outcome.INTERRUPTED, status=status)
-    predicted, covariance = _predict(fine, jnp.asarray(search.theta), arrays), _covariance(fine, search.theta, problem)
+    predicted, covariance = (
+        predict_at(fine, jnp.asarray(search.theta), arrays),
+        _covariance(fine, search.theta, problem),
+    )
     innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
     return RefinedFit(fine, problem, search, covariance, innovation, np.asarray(predicted.velocity))
 
 
 @eqx.filter_jit
-def _predict(fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
+def predict_at(fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
+    """What the drive at theta predicts, compiled."""
     return fine.predict(theta, problem)
 
 

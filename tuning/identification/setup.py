@@ -64,7 +64,7 @@ def build_problem(
         origin=np.zeros(0),
         prior=np.zeros(0),
     )
-    fixed_names, unexcited = _fixed_unknowns(fixed), frozenset[str]()
+    fixed_names, unexcited = held_unknowns(fixed), frozenset[str]()
     if "coulomb" in fixed_names and "load_coefficient" not in fixed_names and not _has_one_load(problem):
         raise ParameterError(
             "the loads differ between or within the logs: fix coulomb_screw and load_coefficient together, or neither, "
@@ -111,7 +111,8 @@ def _initial_drive(drive: Drive, logs: Sequence[Log]) -> tuple[Drive, list[str]]
     return seeded, list(notes)
 
 
-def _fixed_unknowns(fixed: Sequence[str]) -> set[str]:
+def held_unknowns(fixed: Sequence[str]) -> set[str]:
+    """The unknowns that parameters which stay as they are rest on; raises `ParameterError` for an unknown name."""
     return {parameter_called(name, FIXABLE, f"cannot fix '{name}'").unknown for name in fixed}
 
 

@@ -21,6 +21,11 @@ class Shortcoming(NamedTuple):
     motion: str
     hopeless: bool = False  # nothing can be told at all
 
+    @property
+    def sentence(self) -> str:
+        """All of it."""
+        return f"these logs do not determine {self.what}: {self.why}; add {self.motion}"
+
 
 def shown_velocity(
     position: Float[np.ndarray, "lanes n"], counts: Bool[np.ndarray, "lanes n"], noise: float, rate: float

@@ -13,13 +13,16 @@ from diffdrive.errors import ParameterError
 from diffdrive.results import Result, Status
 from tuning.checked_logs import CheckedLogs, checked, require_sound
 from tuning.experiment_design.next_motion import Proposal, propose_motions
-from tuning.identification.doubts import determined_sums, doubts
+from tuning.identification.doubts import DeterminedSum, determined_sums, doubts
 from tuning.identification.estimates import EstimateStatus, ParameterEstimate
+from tuning.identification.excitation import shortcomings
 from tuning.identification.gaps import Gap, gaps
 from tuning.identification.identify import Identification, require_search
 from tuning.identification.identify import identify as fit_drive
 from tuning.identification.parameters import without_side
 from tuning.identification.scale_noise import unstated_noise
+from tuning.identification.setup import held_unknowns
+from tuning.identification.shown_motion import Shortcoming
 from tuning.optimisation.least_squares import Outcome
 from tuning.progress import Progress, reporting, searching
 from tuning.store.folder import FolderStore
@@ -34,8 +37,10 @@ class IdentificationResult(Result):
 
     `axis` has the identified machine, and a controller that believes in it. `estimates` are the parameters one by one;
     `fit` has the rest: covariance, residuals, adequacy. `held_out` are logs that were only looked at afterwards, by
-    `gaps`. Not ok: the search did not converge, or something speaks against its answer (code `doubtful`): friction far
-    from what inverse dynamics shows, or held-out logs from which the identified axis is further than the believed one.
+    `gaps`. Not ok: the search did not converge, or something speaks against its answer (code `doubtful`): starts that
+    disagree, friction far from what inverse dynamics shows, or held-out logs from which the identified axis is further
+    than the believed one. Ok, and not just "converged": the model is incomplete (`structure_remains`), the logs could
+    not determine all that was asked (`poor_excitation`), or parameters are known only together (`correlated`).
     """
 
     axis: Axis
@@ -47,6 +52,7 @@ class IdentificationResult(Result):
     initial_axis: Axis  # before, as the logs show it
     status: Status
     doubts: tuple[str, ...] = ()  # what speaks against the answer of a search that converged
+    shortcomings: tuple[Shortcoming, ...] = ()  # what the logs could not determine, as judged before the fit
 
     schema: ClassVar[str] = "identification/1"
 
@@ -206,11 +212,12 @@ def identify_checked(
     """`identify` from logs that were looked over, whatever was found in them; finished searches are in the `store`."""
     _require_no_effects(axis)
     seen = axis.as_logged()
+    lacking = shortcomings(used.logs, seen.drive, held_unknowns(fixed))
     with searching(progress, "fitting friction, mass and delay") as step:
         found = fit_drive(
             used.logs, seen.drive, fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=step,
         )  # fmt: skip
-    return _result(axis, seen, found, used, held_out)
+    return _result(axis, seen, found, used, held_out, lacking)
 
 
 def _require_no_effects(axis: Axis) -> None:
@@ -221,28 +228,49 @@ def _require_no_effects(axis: Axis) -> None:
 
 
 def _result(
-    axis: Axis, seen: Axis, found: Identification, used: CheckedLogs, held_out: CheckedLogs
+    axis: Axis,
+    seen: Axis,
+    found: Identification,
+    used: CheckedLogs,
+    held_out: CheckedLogs,
+    lacking: Sequence[Shortcoming],
 ) -> IdentificationResult:
     """The result, with what is to be said of it; `seen` is the axis as its logs show it."""
     against = doubts(found, seen.drive, used.logs, held_out.logs) if found.code in BELIEVABLE else []
     findings = [*used.notable, *held_out.notable]
     notes = [f"{log}: {finding.message}; {finding.remedy}" for log, finding in findings]
-    notes += [*against, *found.notes, *(one.message for one in determined_sums(found)), found.adequacy.says]
+    sums = determined_sums(found)
+    notes += [*against, *(one.sentence for one in lacking), *found.notes, *(one.message for one in sums)]
+    notes.append(found.adequacy.says)
     unstated = unstated_noise(seen.drive, found.noise)
     notes += [unstated] if unstated else []
     if not axis.logs_show_delay:
         notes.append(f"{axis.unseen_controller}: the delay found is that of the trace, and [actuator] stays as it was")
     return IdentificationResult(
         replace(axis.with_logged_drive(found.drive), name="identified"), tuple(found.estimates), found, used, held_out,
-        tuple(notes), seen, _status(found, against), tuple(against),
+        tuple(notes), seen, _status(found, against, lacking, sums), tuple(against), tuple(lacking),
     )  # fmt: skip
 
 
-def _status(found: Identification, against: Sequence[str]) -> Status:
-    """Converged only where nothing speaks against the answer."""
+def _status(
+    found: Identification,
+    against: Sequence[str],
+    lacking: Sequence[Shortcoming],
+    sums: Sequence[DeterminedSum],
+) -> Status:
+    """Converged and no more only where nothing speaks against the answer and the logs determine what was asked."""
     if against:
         return Status(False, f"doubtful: {against[0]}", code="doubtful")
-    return Status(found.code in BELIEVABLE, found.status, code=found.code)
+    if found.code not in BELIEVABLE:
+        return Status(False, found.status, code=found.code)
+    said, code = [found.status], found.code
+    if sums:
+        said.append("known only together: " + ", ".join(f"{one.first} and {one.second}" for one in sums))
+        code = "correlated" if code == "ok" else code
+    if lacking:
+        said.append("not determined: " + ", ".join(one.what for one in lacking))
+        code = "poor_excitation" if code in ("ok", "correlated") else code
+    return Status(True, "; ".join(said), code=code)
 
 
 def _unit(unit: str) -> str:

@@ -19,7 +19,7 @@ from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs
 from tuning.identification import inverse_dynamics
-from tuning.identification.doubts import determined_sums
+from tuning.identification.doubts import HARDLY, determined_sums
 from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.identify import Identification
 from tuning.identification.inverse_dynamics import MIN_SPEED
@@ -32,7 +32,6 @@ from tuning.store.folder import FolderStore
 from tuning.sweeps.identified import write_uncertainty
 
 PARTS = "identification.parts"  # finished searches, from which the same command continues
-HARDLY = 0.1  # half of an interval over the value, from which a parameter is hardly determined
 NEAR = 1.01  # times the best cost, up to which a start has found the same
 NO_MOTION = {  # by whether the controller is known
     False: "without a controller none can be simulated",
@@ -96,6 +95,8 @@ def report_identification(report: Report, result: IdentificationResult) -> None:
         write_uncertainty(report.out, result.fit)
     for doubt in result.doubts:
         report.say(f"Doubtful: {doubt}.")
+    for lack in result.shortcomings:
+        report.say(f"{readable.titled(lack.sentence)}.")
     print_identification(report, result.fit)
     if unstated := unstated_noise(result.initial_axis.drive, result.fit.noise):
         report.say(unstated)

@@ -89,6 +89,18 @@ def test_of_two_that_are_hardly_told_apart_the_sum_or_the_difference_is_said_wit
     assert known.half_width == pytest.approx(1.96 * np.sqrt(2.0), rel=1e-3)
 
 
+def test_parts_that_are_known_well_enough_need_no_sum():
+    """Such as a constant force of nothing, give or take a newton, beside a hundred of friction."""
+    rows = [estimate("coulomb", 100.0), estimate("constant_force", 0.0)]
+    covariance = np.array([[0.25, -0.249], [-0.249, 0.25]])
+    pairs = [("friction.coulomb", "friction.constant_force", -0.996)]
+    found = SimpleNamespace(estimates=rows, estimate_covariance=covariance, correlated=pairs)
+    assert determined_sums(found) == []
+    found.estimate_covariance = 400.0 * covariance  # 100 ± 20 N
+    (known,) = determined_sums(found)
+    assert known.value == 100.0
+
+
 def flat_log(coulomb=100.0, mass=100.0, viscous=500.0, constant=0.0):
     """A sine whose command is that of inverse dynamics."""
     time = np.arange(6_000) / RATE
@@ -108,7 +120,7 @@ def answer(positive, negative, constant=0.0, delay=0.0):
     )
     plant = dataclasses.replace(DRIVE.plant, constant_force=constant)
     drive = dataclasses.replace(DRIVE, plant=plant, friction=friction)
-    return SimpleNamespace(drive=drive, estimates=[SimpleNamespace(name="delay", value=delay)])
+    return SimpleNamespace(drive=drive, estimates=[SimpleNamespace(name="delay", value=delay)], rival=())
 
 
 def test_friction_that_leaves_inverse_dynamics_by_a_factor_is_doubted_in_that_direction():
@@ -132,9 +144,9 @@ def test_a_hanging_axis_whose_file_states_its_constant_force_is_not_doubted():
 def test_an_answer_that_is_worse_on_held_out_logs_than_what_was_believed_is_doubted():
     lap = motion.sine(amplitude=5e-3, frequency=1.0, duration=2.0, rate=RATE)
     log = truth_log(DRIVE, PDGains(PAPER_KP / 10, PAPER_KD / 10), lap, 0.0, seed=4)
-    true = SimpleNamespace(drive=DRIVE, estimates=[SimpleNamespace(name="delay", value=0.0)])
+    true = SimpleNamespace(drive=DRIVE, estimates=[SimpleNamespace(name="delay", value=0.0)], rival=())
     heavy = dataclasses.replace(DRIVE, plant=dataclasses.replace(DRIVE.plant, mass=2.0 * DRIVE.plant.mass))
-    wrong = SimpleNamespace(drive=heavy, estimates=true.estimates)
+    wrong = SimpleNamespace(drive=heavy, estimates=true.estimates, rival=())
     used = [flat_log(coulomb=float(DRIVE.friction.coulomb_at(0.0).positive))]
     assert doubts(true, heavy, used, [log]) == []
     assert doubts(true, DRIVE, used, [log]) == []  # no change is no rise

@@ -1,0 +1,99 @@
+"""Whether another start explains the logs as well, elsewhere: then they do not decide between two answers."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.stats
+from jaxtyping import Float
+
+from diffdrive.numerics.arrays import as_arrays
+from tuning.identification.estimates import reported_parameters, symmetric_bristle
+from tuning.identification.refinement import ROUGH_GAIN, TOLERANCE, RefinedFit, predict_at
+from tuning.identification.uncertainty import BLOCK
+from tuning.optimisation.least_squares import Outcome, StepProgress, levenberg_marquardt
+
+APART = 0.25  # in units of belief, as that of what is not determined: half as much again
+STEPS = 16  # of the search from another start, twice those that it had: one that is not as good by then is no rival
+CHANCE = 0.01  # that an answer that is as good seems worse
+
+
+class RivalValue(NamedTuple):
+    """A parameter as it was found, and as another start has it that explains the logs as well."""
+
+    name: str
+    unit: str
+    value: float
+    other: float
+
+    @property
+    def words(self) -> str:
+        """Both values."""
+        unit = "" if self.unit == "1" else f" {self.unit.replace('*', ' ')}"
+        return f"{self.name} {self.value:.3g} or {self.other:.3g}{unit}"
+
+
+def rival_start(
+    points: Float[np.ndarray, "s k"], costs: Float[np.ndarray, " s"], prior: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, " k"] | None:
+    """Of coarse searches the best that ended elsewhere than the best of all; None where all that ended agree."""
+    best = points[int(np.argmin(costs))]
+    elsewhere = np.any(np.abs(prior * (points - best)) > APART, axis=1) & np.isfinite(costs)
+    if not elsewhere.any():
+        return None
+    return points[int(np.argmin(np.where(elsewhere, costs, np.inf)))]
+
+
+def is_as_good(
+    rival: Float[np.ndarray, "lanes n"], found: Float[np.ndarray, "lanes n"], rate: float, chance: float = CHANCE
+) -> bool:
+    """Whether the innovations of a rival are not larger, in blocks of a quarter of a second, than chance makes them.
+
+    A one-sided t test of the blocks' mean squares: they scatter as the residuals do, whatever their colour.
+    """
+    block = max(1, round(BLOCK * rate))
+    worse = (rival**2 - found**2)[:, : rival.shape[1] // block * block]
+    blocks = worse.reshape(-1, block)
+    rise = blocks[np.any(blocks != 0.0, axis=1)].mean(axis=1)
+    if len(rise) < 2 or not np.mean(rise) > 0.0:
+        return True
+    return bool(scipy.stats.ttest_1samp(rise, 0.0, alternative="greater").pvalue >= chance)
+
+
+def rival_values(
+    fit: RefinedFit,
+    points: Float[np.ndarray, "s k"],
+    costs: Float[np.ndarray, " s"],
+    undetermined: set[str],
+    progress: StepProgress,
+) -> tuple[RivalValue, ...]:
+    """What another start has elsewhere, though it explains the logs as well; empty where the starts agree.
+
+    Of all starts the best that ended elsewhere goes on under the gains that the fit went by.
+    """
+    start = rival_start(points, costs, fit.problem.prior)
+    if start is None:
+        return ()
+    residuals, arrays = fit.residuals, as_arrays(fit.problem)
+    search = levenberg_marquardt(
+        residuals, start, arrays, max_steps=STEPS, tolerance=TOLERANCE, min_gain=ROUGH_GAIN, progress=progress
+    )
+    moved = np.abs(fit.problem.prior * (search.theta - fit.search.theta))
+    apart = {free.path for free, far in zip(residuals.free, moved, strict=True) if far > APART} - undetermined
+    if search.outcome is Outcome.INTERRUPTED or not apart:
+        return ()
+    scale = np.asarray(fit.problem.lanes.counts) / np.asarray(fit.problem.gains.innovation_std)
+    other = np.asarray(predict_at(residuals, jnp.asarray(search.theta), arrays).innovation)
+    if not np.isfinite(other).all() or not is_as_good(other * scale, fit.innovation * scale, residuals.sampling.rate):
+        return ()
+    symmetric = symmetric_bristle(fit.problem)
+    here, there = (
+        reported_parameters(*residuals.unpack(jnp.asarray(theta), fit.problem), symmetric)
+        for theta in (fit.search.theta, search.theta)
+    )
+    found: dict[str, RivalValue] = {}
+    for mine, others in zip(here, there, strict=True):
+        if mine.unknown in apart and mine.unknown not in found:  # of several that rest on one, the first
+            name = mine.path.partition(".")[2]
+            found[mine.unknown] = RivalValue(name, mine.parameter.unit, float(mine.value), float(others.value))
+    return tuple(found.values())
