@@ -78,8 +78,11 @@ def rival_values(
     search = levenberg_marquardt(
         residuals, start, arrays, max_steps=STEPS, tolerance=TOLERANCE, min_gain=ROUGH_GAIN, progress=progress
     )
-    moved = np.abs(fit.problem.prior * (search.theta - fit.search.theta))
-    apart = {free.path for free, far in zip(residuals.free, moved, strict=True) if far > APART} - undetermined
+    moved = np.abs(search.theta - fit.search.theta)
+    # two answers within their intervals are one
+    allowed = np.sqrt(2.0) * fit.covariance.quantile * np.sqrt(np.diag(fit.covariance.matrix))
+    far = (fit.problem.prior * moved > APART) & (moved > allowed)
+    apart = {free.path for free, is_far in zip(residuals.free, far, strict=True) if is_far} - undetermined
     if search.outcome is Outcome.INTERRUPTED or not apart:
         return ()
     scale = np.asarray(fit.problem.lanes.counts) / np.asarray(fit.problem.gains.innovation_std)

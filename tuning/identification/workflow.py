@@ -23,6 +23,7 @@ from tuning.identification.parameters import without_side
 from tuning.identification.scale_noise import unstated_noise
 from tuning.identification.setup import held_unknowns
 from tuning.identification.shown_motion import Shortcoming
+from tuning.identification.telling import most_telling
 from tuning.optimisation.least_squares import Outcome
 from tuning.progress import Progress, reporting, searching
 from tuning.store.folder import FolderStore
@@ -37,10 +38,12 @@ class IdentificationResult(Result):
 
     `axis` has the identified machine, and a controller that believes in it. `estimates` are the parameters one by one;
     `fit` has the rest: covariance, residuals, adequacy. `held_out` are logs that were only looked at afterwards, by
-    `gaps`. Not ok: the search did not converge, or something speaks against its answer (code `doubtful`): starts that
-    disagree, friction far from what inverse dynamics shows, or held-out logs from which the identified axis is further
-    than the believed one. Ok, and not just "converged": the model is incomplete (`structure_remains`), the logs could
-    not determine all that was asked (`poor_excitation`), or parameters are known only together (`correlated`).
+    `gaps`; what long logs were not fitted of is among them. `shortcomings` is what the logs could not determine.
+
+    Not ok: the search did not converge, or something speaks against its answer (code `doubtful`): starts that disagree,
+    friction far from what inverse dynamics shows, or held-out logs from which the identified axis is further than the
+    believed one. Ok, and not just "converged": the model is incomplete (`structure_remains`), the logs could not
+    determine all that was asked (`poor_excitation`), or parameters are known only together (`correlated`).
     """
 
     axis: Axis
@@ -213,11 +216,13 @@ def identify_checked(
     _require_no_effects(axis)
     seen = axis.as_logged()
     lacking = shortcomings(used.logs, seen.drive, held_unknowns(fixed))
+    parts = most_telling(used.logs, seen.drive)
+    fitted, others = replace(used, logs=parts.fitted), replace(held_out, logs=(*held_out.logs, *parts.rest))
     with searching(progress, "fitting friction, mass and delay") as step:
         found = fit_drive(
-            used.logs, seen.drive, fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=step,
+            fitted.logs, seen.drive, fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=step,
         )  # fmt: skip
-    return _result(axis, seen, found, used, held_out, lacking)
+    return _result(axis, seen, found, fitted, others, lacking, parts.note)
 
 
 def _require_no_effects(axis: Axis) -> None:
@@ -234,11 +239,13 @@ def _result(
     used: CheckedLogs,
     held_out: CheckedLogs,
     lacking: Sequence[Shortcoming],
+    selection: str,
 ) -> IdentificationResult:
-    """The result, with what is to be said of it; `seen` is the axis as its logs show it."""
+    """The result, with what is to be said of it; `seen` is the axis as its logs show it, `used` what was fitted."""
     against = doubts(found, seen.drive, used.logs, held_out.logs) if found.code in BELIEVABLE else []
     findings = [*used.notable, *held_out.notable]
     notes = [f"{log}: {finding.message}; {finding.remedy}" for log, finding in findings]
+    notes += [selection] if selection else []
     sums = determined_sums(found)
     notes += [*against, *(one.sentence for one in lacking), *found.notes, *(one.message for one in sums)]
     notes.append(found.adequacy.says)
