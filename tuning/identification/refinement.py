@@ -28,6 +28,7 @@ MIN_DEVIANCE_GAIN = 1.0  # in deviance, twice the logarithm of the likelihood
 TOLERANCE = 1e-6
 ROUGH_GAIN, FINE_GAIN = 1e-5, 1e-7  # share of the cost that three steps of a search must gain to be worth going on
 INTEGRATOR_ERROR = 1e-2  # N of process force: what steps of `FINE_SUBSTEP` look like to the filter, and more
+MAX_CHORDS, SETTLED = 6, 0.01  # steps at a quarter of the substep, and of a standard error, from which on it stays
 SMOOTHING, SETTLING = 0.02, 0.1  # s
 
 
@@ -71,10 +72,51 @@ def refine_substeps(fit: RefinedFit, noise: float, progress: StepProgress, store
     if fit.process_force > INTEGRATOR_ERROR:
         return fit
     finest = dataclasses.replace(fit.residuals, sampling=sampling_of(fit.residuals.sampling.rate, FINEST_SUBSTEP))
-    sharp = _alternate(finest, fit.search.theta, fit.problem, noise, progress, FINE_GAIN, store)
+    sharp = _by_chords(finest, fit, progress)
+    if sharp is None:
+        sharp = _alternate(finest, fit.search.theta, fit.problem, noise, progress, FINE_GAIN, store)
     left = (sharp.search.theta - fit.search.theta) / 15.0
     covariance = sharp.covariance._replace(matrix=sharp.covariance.matrix + np.outer(left, left))
     return sharp._replace(covariance=covariance, steps=fit.steps + sharp.steps)
+
+
+def _by_chords(finest: Innovations, fit: RefinedFit, progress: StepProgress) -> RefinedFit | None:
+    """The fit at finer steps of the integrator, under the same gains; None where the chords do not settle.
+
+    theta <- theta - J+ r, with r of the fine steps and J, once, of those that the fit had: they differ by as little as
+    the integrator errs, so each chord brings the point nearer by a large factor (Ortega and Rheinboldt 1970, the chord
+    method). A Jacobian at the fine steps would cost as much as a dozen chords.
+    """
+    arrays, theta = as_arrays(fit.problem), fit.search.theta
+    _, slope = (np.asarray(array) for array in linearised(fit.residuals, jnp.asarray(theta), arrays))
+    errors = np.sqrt(np.diag(fit.covariance.matrix))
+    orthogonal, triangle = np.linalg.qr(slope * errors)
+    distance = np.inf
+    try:
+        for count in range(1, MAX_CHORDS + 1):
+            value = np.asarray(residuals_at(finest, jnp.asarray(theta), arrays))
+            if not np.isfinite(value).all():
+                return None
+            progress(count, MAX_CHORDS, float(np.linalg.norm(value)))
+            step = -np.linalg.solve(triangle, orthogonal.T @ value)  # in standard errors
+            before, distance = distance, float(np.max(np.abs(step)))
+            if distance < SETTLED:
+                break
+            if distance > 0.5 * before:
+                return None
+            theta = theta + errors * step
+        else:
+            return None
+    except KeyboardInterrupt:
+        return _ended(fit, Outcome.INTERRUPTED, f"interrupted after {fit.search.steps} steps")
+    search = dataclasses.replace(fit.search, theta=theta, cost=float(np.linalg.norm(value)))
+    covariance = _sandwich_of(value, slope, fit.problem, finest.sampling.rate)
+    predicted = predict_at(finest, jnp.asarray(theta), arrays)
+    innovation = np.asarray(predicted.innovation) * np.asarray(fit.problem.lanes.counts)
+    return fit._replace(
+        residuals=finest, search=search, covariance=covariance, innovation=innovation,
+        velocity=np.asarray(predicted.velocity), steps=0,
+    )  # fmt: skip
 
 
 def _alternate(
@@ -192,12 +234,25 @@ def linearised(
     return jax.vmap(along, out_axes=(None, 1))(jnp.eye(len(theta)))
 
 
+@eqx.filter_jit
+def residuals_at(fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
+    """The residuals at theta, compiled."""
+    return fine(theta, problem)
+
+
 def _covariance(fine: Innovations, theta: Float[np.ndarray, " k"], problem: IdentificationProblem) -> Covariance:
-    shape = problem.lanes.position.shape
     value, slope = (np.asarray(array) for array in linearised(fine, jnp.asarray(theta), as_arrays(problem)))
+    return _sandwich_of(value, slope, problem, fine.sampling.rate)
+
+
+def _sandwich_of(
+    value: Float[np.ndarray, " m"], slope: Float[np.ndarray, "m k"], problem: IdentificationProblem, rate: float
+) -> Covariance:
+    """The covariance of theta from the residuals, those of the priors last, and their derivative."""
+    shape = problem.lanes.position.shape
     samples = shape[0] * shape[1]
     residual, jacobian = value[:samples].reshape(shape), slope[:samples].reshape(*shape, -1)
-    return sandwich(residual, jacobian, fine.sampling.rate, slope[samples:])
+    return sandwich(residual, jacobian, rate, slope[samples:])
 
 
 def without_undetermined(

@@ -14,6 +14,7 @@ from tuning.identification.uncertainty import BLOCK
 from tuning.optimisation.least_squares import Outcome, StepProgress, levenberg_marquardt
 
 APART = 0.25  # in units of belief, as that of what is not determined: half as much again
+WITHIN = 2.0  # times the best cost, beyond which a start that had as many steps is stuck and no rival
 STEPS = 16  # of the search from another start, twice those that it had: one that is not as good by then is no rival
 CHANCE = 0.01  # that an answer that is as good seems worse
 
@@ -38,7 +39,7 @@ def rival_start(
 ) -> Float[np.ndarray, " k"] | None:
     """Of coarse searches the best that ended elsewhere than the best of all; None where all that ended agree."""
     best = points[int(np.argmin(costs))]
-    elsewhere = np.any(np.abs(prior * (points - best)) > APART, axis=1) & np.isfinite(costs)
+    elsewhere = np.any(np.abs(prior * (points - best)) > APART, axis=1) & (costs <= WITHIN * np.min(costs))
     if not elsewhere.any():
         return None
     return points[int(np.argmin(np.where(elsewhere, costs, np.inf)))]

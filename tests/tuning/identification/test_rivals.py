@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from tuning.identification.doubts import doubts
-from tuning.identification.rivals import APART, RivalValue, is_as_good, rival_start
+from tuning.identification.rivals import APART, WITHIN, RivalValue, is_as_good, rival_start
 
 RATE = 1_000.0
 PRIOR = np.array([1.0, 1.0, 1.0])
@@ -22,6 +22,9 @@ def test_starts_that_agree_and_a_single_one_have_no_rival():
     points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
     assert rival_start(points, np.array([1.0, 2.0]), PRIOR) is None
     assert rival_start(points[:1], np.array([1.0]), PRIOR) is None
+    far = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    assert rival_start(far, np.array([1.0, 1.01 * WITHIN]), PRIOR) is None  # stuck, not a rival
+    assert rival_start(far, np.array([1.0, 0.99 * WITHIN]), PRIOR) is not None
 
 
 def test_innovations_of_the_same_size_are_as_good_and_larger_ones_are_not():
