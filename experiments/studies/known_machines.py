@@ -140,7 +140,7 @@ def study_case(folder: Path, name: str, facts: Mapping[str, object], truth: Trut
         mass_error=100.0 * (float(drive.plant.mass) / truth["mass"] - 1.0),
         force_errors=[error for log in found.logs.logs for error in force_errors(drive, true, log)],
         constant_force=float(drive.plant.constant_force),
-        rows=rows,  # type: ignore[typeddict-item]
+        rows=rows,
         notes=list(found.notes),
     )
     if held_out:
