@@ -19,6 +19,7 @@ from experiments.reports.identification.identification import report_identificat
 from experiments.reports.margins import report_comparison
 from experiments.reports.report import Report
 from experiments.reports.simulation import write_simulation
+from experiments.reports.start import report_guesses
 from experiments.reports.sweep.sweep import introduce, report_sweep
 from experiments.reports.tuning import report_pareto, report_tuning
 from tuning.diagnosis.workflow import DiagnosisResult
@@ -27,6 +28,7 @@ from tuning.gains.result import TuningResult
 from tuning.identification.controller.workflow import ControllerEstimate
 from tuning.identification.workflow import IdentificationResult
 from tuning.sweeps.result import SweepResult
+from tuning.unknown_trace.workflow import StartResult
 
 
 def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:
@@ -109,6 +111,11 @@ def _(result: TuningResult, writer: Report) -> None:
 @section.register
 def _(result: ParetoFront, writer: Report) -> None:
     report_pareto(writer, result)
+
+
+@section.register
+def _(result: StartResult, writer: Report) -> None:
+    report_guesses(writer, result)
 
 
 @section.register

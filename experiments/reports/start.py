@@ -40,7 +40,7 @@ def start_from_trace(
         found, fatal = result.findings.findings, result.findings.fatal
         with report.result_first() as say:
             say(f"{written} is a drive file for {log.name}: what is sure, likely, stated and usual stands in it.")
-            _guesses(report, result)
+            report_guesses(report, result)
             for note in result.notes:
                 report.say(f"- {note}")
             report.print("\nThe check of the log with this drive file", style="bold")
@@ -62,7 +62,7 @@ def _answered(log: Path, report: Report, stated: dict[str, Any], ask: Ask | None
         again = [one for one in result.questions if (one.argument, one.channel) in asked]
         if ask is None or again:
             raise ParameterError(f"{log}: " + "; ".join(str(question) for question in again or result.questions))
-        _guesses(report, result)
+        report_guesses(report, result)
         for question in result.questions:
             asked.add((question.argument, question.channel))
             answer = ask(question)
@@ -72,11 +72,14 @@ def _answered(log: Path, report: Report, stated: dict[str, Any], ask: Ask | None
                 stated[question.argument] = answer
 
 
-def _guesses(report: Report, result: StartResult) -> None:
+def report_guesses(report: Report, result: StartResult) -> None:
+    """Print and keep what a trace holds, each guess with how sure it is and why, and what is open."""
     report.record("guesses", ("what", "value", "how sure", "why"), [list(one) for one in result.guesses])
     report.print("\nWhat the trace holds", style="bold")
     for guess in result.guesses:
         report.print(f"- {guess}")
+    for question in result.questions:
+        report.print(f"- open: {question}")
 
 
 def _next(log: Path, drive: Path, is_fatal: bool) -> str:

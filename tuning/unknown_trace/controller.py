@@ -28,6 +28,7 @@ class FirstController(NamedTuple):
     controller: Cascade | PD | None
     estimate: ControllerEstimate | None
     why: str
+    is_exact: bool = False  # whether it leaves nothing but rounding of the command
 
 
 def first_controller(log: Log, axis: Axis) -> FirstController:
@@ -51,7 +52,7 @@ def first_controller(log: Log, axis: Axis) -> FirstController:
     left = f"{percent(misfit)} % of the command" if misfit > ROUNDING else "the rounding of the command"
     if not misfit < EXPLAINED:
         return FirstController(None, estimate, f"a {controller.kind} with the gains that are seen leaves {left}")
-    return FirstController(controller, estimate, f"this {controller.kind} leaves {left}")
+    return FirstController(controller, estimate, f"this {controller.kind} leaves {left}", misfit <= ROUNDING)
 
 
 def _controllers(found: Cascade, axis: Axis) -> list[Cascade | PD]:

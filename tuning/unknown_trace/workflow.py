@@ -236,7 +236,7 @@ def _of_drive(machine: FirstMachine, controller: FirstController, axis: Axis) ->
         )
     ]
     kind = "unknown" if controller.controller is None else controller.controller.kind
-    return [*guesses, Guess("controller", kind, "likely" if kind == "unknown" else "sure", controller.why)]
+    return [*guesses, Guess("controller", kind, "sure" if controller.is_exact else "likely", controller.why)]
 
 
 def _of_contradiction(trace: TraceGuess, mass: float) -> list[str]:

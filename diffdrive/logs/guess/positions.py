@@ -13,6 +13,7 @@ from diffdrive.support.messages import quoted_names
 
 CHANNELS = ("position", "reference", "motor_position")
 LEADS = 0.5  # correlation of set minus actual position and speed, from which on one leads: a loop that lags has 0.9
+LAG = 0.5  # what the speed leaves of a difference, beside what its sign leaves, where it is a lag and no lost motion
 BEYOND_REST = 3.0  # of what is left between two encoders, from which on they differ by the direction of motion
 _ROTARY = ("deg", "rev", "rad", "count")
 
@@ -204,14 +205,19 @@ def _two_readings(name: str, measured: str) -> str:
 
 
 def _lead(recording: Recording, name: str, other: str) -> float:
-    """Correlation of the difference of two columns of one motion with its speed."""
+    """Correlation of the difference of two columns of one motion with its speed, if it is a lag; else zero.
+
+    A set-point is ahead by a time, in proportion to the speed. A motor's encoder is ahead of the table by lost motion,
+    which has the sign of the speed alone, and is no lead.
+    """
     slope = recording.slope(name, other)
-    if slope is None:
-        return 0.0
     speed = derivative(recording.mean(other), recording.mean_period, 1)
     # loops lag without shrinking a stroke: the slope is a unit, and would take up a part of the lag
-    difference = recording.mean(name) / slope - recording.mean(other)
-    return float(np.corrcoef(difference, speed)[0, 1]) if np.std(difference) > 0 else 0.0
+    difference = recording.mean(name) / (slope or 1.0) - recording.mean(other)
+    if slope is None or np.std(difference) == 0:
+        return 0.0
+    of_speed, of_sign = (float(np.corrcoef(difference, one)[0, 1]) for one in (speed, np.sign(speed)))
+    return of_speed if 1.0 - of_speed**2 < LAG * (1.0 - of_sign**2) else 0.0
 
 
 def _encoders(

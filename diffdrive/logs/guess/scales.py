@@ -291,9 +291,8 @@ def _by_mass(
         readings = dict.fromkeys(pair[side].unit for pair in rivals)
         is_open = any(channel == one for one, _ in open_channels)
         if is_open and (len(readings) > 1 or best >= NONE_FITS):
-            found.ask(
-                "units", channel, f"the unit of the {channel} '{trace.chosen[channel]}' {why}", next(iter(readings))
-            )
+            example = next(iter(readings)) if best < NONE_FITS else ("mm", "N")[side]
+            found.ask("units", channel, f"the unit of the {channel} '{trace.chosen[channel]}' {why}", example)
             why = "neither"
     return None
 

@@ -267,3 +267,12 @@ def test_a_column_that_has_the_name_of_a_channel_is_that_channel():
     assert "motor_position" not in found.columns
     exchanged = columns | {"position": REFERENCE, "reference": POSITION}
     assert asked(guess_trace(table(exchanged), mass=MASS)) == [("columns", "position")]
+
+
+def test_lost_motion_is_no_lead(two_encoders):
+    """Without a name, an encoder that is ahead by its sign alone is no set-point: it is asked about."""
+    log = two_encoders
+    columns = {"a": log.time, "b": log.command, "c": log.position, "d": log.motor_position}
+    found = guess_trace(table(columns), mass=500.0)
+    assert ("columns", "position") in asked(found)
+    assert "reference" not in found.columns
