@@ -88,9 +88,9 @@ def comparison_figure(comparison: FrequencyComparison) -> "Figure":
 
 
 def _gain_and_phase(loop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """In dB, and in degrees between -360 and 0, where loops cross over."""
+    """In dB, and in degrees between -270 and 90, so that the line does not jump where it passes -180 or 0."""
     degrees = np.degrees(np.angle(loop))
-    return 20.0 * np.log10(np.abs(loop)), np.where(degrees > 0.0, degrees - 360.0, degrees)
+    return 20.0 * np.log10(np.abs(loop)), np.where(degrees > 90.0, degrees - 360.0, degrees)
 
 
 def _row(name: str, margins: StabilityMargins) -> list[object]:
