@@ -19,6 +19,7 @@ from tuning.identification.seed import SIGNIFICANT, initial_drive
 # What one log does not show as a rule, as machine tools have it: Armstrong-Helouvry, Dupont and Canudas de Wit 1994
 # (breakaway some tens of per cent above Coulomb friction, Stribeck velocity of millimetres a second, presliding of
 # micrometres), and a bristle as damped as theirs, sigma_1 = sqrt(sigma_0 m) (Canudas de Wit et al. 1995, for 1 kg).
+LOAD_COEFFICIENT = 1e-3  # of rolling guides; beside no initial load it is of no effect, and a fit cannot begin at zero
 BREAKAWAY_GAP = 0.25  # of the Coulomb friction
 STRIBECK_VELOCITY = 5e-3  # m/s, or rad/s
 PRESLIDING = 2e-6  # m, over which friction builds up
@@ -77,7 +78,7 @@ def _drive(
     stiffness = _rounded(coulomb / (PRESLIDING_ANGLE if is_rotary else PRESLIDING))
     friction = Friction(
         coulomb_screw=_both(_rounded(coulomb)),
-        load_coefficient=_both(0.0),
+        load_coefficient=_both(LOAD_COEFFICIENT),
         initial_load=0.0,
         breakaway_gap=_both(_rounded(BREAKAWAY_GAP * coulomb)),
         stribeck_velocity=_both(STRIBECK_VELOCITY),

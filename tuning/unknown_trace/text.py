@@ -94,8 +94,8 @@ def _machine(machine: FirstMachine, log: Log, trace: TraceGuess) -> Iterator[str
     yield from ("", "[friction]")
     error = "" if machine.found is None else f", give or take {_error(machine, 'coulomb')} {unit('N')}"
     yield _line("coulomb_screw", _one(friction.coulomb_screw), f"{unit('N')}, {seen}{error}: all Coulomb friction")
-    yield _line("load_coefficient", 0.0, "a log under one load does not show it")
-    yield _line("initial_load", 0.0, f"{unit('N')}, likewise")
+    yield _line("load_coefficient", _one(friction.load_coefficient), "usual: without a load it is of no effect")
+    yield _line("initial_load", 0.0, f"{unit('N')}: what it makes is part of coulomb_screw")
     yield _line("breakaway_gap", _one(friction.breakaway_gap), f"{unit('N')}, usual: a quarter of Coulomb friction")
     yield _line("stribeck_velocity", _one(friction.stribeck_velocity), f"{unit('m/s')}, usual")
     error = "" if machine.found is None else f", give or take {_error(machine, 'viscous')} {unit('N*s/m')}"

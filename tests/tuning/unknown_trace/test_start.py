@@ -148,3 +148,16 @@ def test_two_encoders_become_two_encoders():
     assert drive.motor_encoder is not None
     assert result.axis.sheet.lead == pytest.approx(LEAD, rel=2e-3)
     assert result.axis.controller.kind == "unknown"
+
+
+def test_a_fit_can_begin_from_the_drive_file(started):
+    """Each friction that `identify` looks for about the file's is above zero."""
+    friction = started.axis.drive.friction
+    for name in ("coulomb_screw", "load_coefficient", "viscous", "bristle_stiffness", "bristle_damping"):
+        assert float(getattr(friction, name).positive) > 0.0, name
+
+
+@pytest.mark.long
+def test_the_drive_file_is_identified_from(started, trace):
+    found = tuning.identify(started.axis, trace, starts=1)
+    assert found.estimate("mass").value == pytest.approx(100.0, rel=ACCURACY)
