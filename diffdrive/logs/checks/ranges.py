@@ -1,6 +1,7 @@
 """Travel, speed, load and temperature against what an axis can be, and against the limits of this one."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,15 +11,31 @@ from diffdrive.logs.checks.finding import Finding
 from diffdrive.logs.checks.statistics import longest_piece, sampling_period, top_speed
 from diffdrive.logs.log import Log
 
-FASTEST = 10.0  # m/s: linear motors reach 5
 LONGEST = 50.0  # m: the longest gantries
-SMALLEST = 1e-7  # m: less travel than the finest common scale's counts
+
+
+class Extremes(NamedTuple):
+    """What no feed drive exceeds, in the unit of its travel; the unit's name, and what is taken for it by mistake."""
+
+    unit: str
+    fastest: float  # a second
+    longest: float
+    smallest: float  # travel: fewer than the counts of the finest common scale
+    mistaken: str
+
+
+LINEAR = Extremes("m", 10.0, LONGEST, 1e-7, "millimetres, counts or degrees taken as metres?")  # linear motors reach 5
+ROTARY = Extremes(
+    "rad", 2e3, np.inf, 1e-8, "degrees, turns or counts taken as radians?"
+)  # fast motors turn at 20,000 rpm
 
 
 def travel(log: Log, axis: Axis | None) -> Iterator[Finding]:
     """Travel and speed of reference and position."""
     low, high = (-np.inf, np.inf) if axis is None else axis.limits.stroke
     speed_limit = np.inf if axis is None else axis.limits.speed
+    extremes = ROTARY if axis is not None and axis.sheet.is_rotary else LINEAR
+    unit = extremes.unit
     piece, period = longest_piece(log), sampling_period(log)
     for name in ("position", "reference"):
         signal = log.channels.get(name)
@@ -30,38 +47,39 @@ def travel(log: Log, axis: Axis | None) -> Iterator[Finding]:
         if np.isfinite(high - low) and travelled > 1.05 * (high - low):
             ratio = travelled / (high - low)
             problems.append(
-                f"travels {travelled:.4g} m, {ratio:.4g} times the stroke of {high - low:g} m{unit_error_text(ratio)}"
+                f"travels {travelled:.4g} {unit}, {ratio:.4g} times the stroke of {high - low:g} {unit}"
+                f"{unit_error_text(ratio)}"
             )
-        elif travelled > LONGEST:
-            problems.append(f"travels {travelled:.4g} m, more than any axis")
-        if speed > FASTEST:
-            problems.append(f"moves at {speed:.4g} m/s, faster than any feed drive")
+        elif travelled > extremes.longest:
+            problems.append(f"travels {travelled:.4g} {unit}, more than any axis")
+        if speed > extremes.fastest:
+            problems.append(f"moves at {speed:.4g} {unit}/s, faster than any feed drive")
         elif speed > 1.5 * speed_limit:
             problems.append(
-                f"moves at {speed:.4g} m/s, {speed / speed_limit:.4g} times the limit of {speed_limit:g} m/s"
+                f"moves at {speed:.4g} {unit}/s, {speed / speed_limit:.4g} times the limit of {speed_limit:g} {unit}/s"
             )
         if problems:
             yield Finding(
                 "fatal",
                 name,
-                f"the {name} " + " and ".join(problems) + ": millimetres, counts or degrees taken as metres?",
+                f"the {name} " + " and ".join(problems) + f": {extremes.mistaken}",
                 f"correct the unit of the {name}, or the drive file's limits",
                 "gain",
             )
-        elif 0 < travelled < SMALLEST:
+        elif 0 < travelled < extremes.smallest:
             yield Finding(
                 "warning",
                 name,
-                f"the {name} travels only {travelled:.3g} m in all",
-                "metres are expected: correct its unit, or log a motion",
+                f"the {name} travels only {travelled:.3g} {unit} in all",
+                f"{'radians' if unit == 'rad' else 'metres'} are expected: correct its unit, or log a motion",
                 "motion",
             )
         elif np.isfinite(high - low) and (np.max(signal) > high + 1e-3 or np.min(signal) < low - 1e-3):
             yield Finding(
                 "note",
                 name,
-                f"the {name} runs from {np.min(signal):.4g} to {np.max(signal):.4g} m, outside the stroke "
-                f"[{low:g}, {high:g}] m, though not longer than it",
+                f"the {name} runs from {np.min(signal):.4g} to {np.max(signal):.4g} {unit}, outside the "
+                f"stroke [{low:g}, {high:g}] {unit}, though not longer than it",
                 "its zero is not that of the drive file: shift one of them if position-dependent effects matter",
                 "offset",
             )
