@@ -9,7 +9,7 @@ import numpy as np
 
 from diffdrive.logs.checks.dynamics import NOMINAL_STD
 from diffdrive.logs.checks.explanation import FAULT_COST
-from diffdrive.logs.checks.ranges import FASTEST, LONGEST, SMALLEST
+from diffdrive.logs.checks.ranges import LINEAR
 from diffdrive.logs.checks.ratios import SCALE_ERROR, UNIT_ERROR
 from diffdrive.logs.checks.statistics import top_speed
 from diffdrive.logs.column_unit import conversion
@@ -189,7 +189,11 @@ def _of_position(trace: Trace, found: Scales, table: float | None) -> list[Readi
         return readings
     travel = float(np.ptp(trace.recording.columns[trace.chosen["position"]]))
     speed = top_speed(trace.recording.mean(trace.chosen["position"]), trace.recording.mean_period)
-    return [one for one in readings if SMALLEST < travel * one.factor < LONGEST and speed * one.factor < FASTEST]
+    return [
+        one
+        for one in readings
+        if LINEAR.smallest < travel * one.factor < LINEAR.longest and speed * one.factor < LINEAR.fastest
+    ]
 
 
 def _of_command(trace: Trace, found: Scales) -> list[Reading]:
