@@ -15,7 +15,7 @@ settings.register_profile("compiled", deadline=None)
 settings.load_profile("compiled")
 
 
-MOST_MEMORY = 1.5e9  # bytes a process: two of them fit beside a browser into 8 GB
+MOST_MEMORY = 3e9  # bytes a process: two of them fit beside a browser into 8 GB
 
 
 @pytest.fixture(autouse=True, scope="module")

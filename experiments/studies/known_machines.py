@@ -26,6 +26,7 @@ from diffdrive.model.friction import stribeck_level
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import Directional
 from diffdrive.runtime import configure
+from diffdrive.support.atomic_write import write_text
 from tuning.identification.estimates import EstimateStatus
 from tuning.identification.gaps import prediction_gaps
 
@@ -177,8 +178,7 @@ def study(folder: Path, cases: Sequence[str], out: Path | None, held_out: bool) 
                 print(f"{name}: {error}", flush=True)
                 continue
             if out is not None:
-                with out.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(done[name]) + "\n")
+                write_text(out, "".join(json.dumps(one) + "\n" for one in done.values()))
         yield done[name]
 
 

@@ -23,6 +23,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.runtime import configure
+from diffdrive.support.atomic_write import atomic_write, write_text
 
 OFF = 0.3  # of a number of the data sheet, at most
 LEAST_STEPS = 8  # of Runge-Kutta to a control period
@@ -289,13 +290,14 @@ def write_axes(folder: Path, count: int, seed: int, seconds: float = 10.0) -> No
             "controller": [*map(float, control), float(axis.samples)],
         }
         (folder / name).mkdir(exist_ok=True)
-        (folder / name / "rough.toml").write_text(rough(axis, rng), encoding="utf-8")
+        write_text(folder / name / "rough.toml", rough(axis, rng))
         for log in ("healthy-1", "healthy-2"):
             columns = log_columns(axis, seconds, rng)
             if not np.all(np.abs(columns["position"] - columns["reference"]) < 0.05):
                 raise ArithmeticError(f"{name}: the loop of {axis} is not stable")
-            pq.write_table(pa.table(columns), folder / name / f"{log}.parquet")
-    (folder / "key.json").write_text(json.dumps(key, indent=1), encoding="utf-8")
+            with atomic_write(folder / name / f"{log}.parquet") as file:
+                pq.write_table(pa.table(columns), file)
+    write_text(folder / "key.json", json.dumps(key, indent=1))
 
 
 def main() -> None:

@@ -18,6 +18,7 @@ from diffdrive.model.data_sheet import DataSheet
 from diffdrive.model.parameters import Sampling
 from diffdrive.motion.text import number
 from diffdrive.results import Result, Status
+from diffdrive.support.atomic_write import write_text
 from tuning.checked_logs import CheckedLogs, check_logs
 from tuning.unknown_trace.controller import FirstController, first_controller
 from tuning.unknown_trace.friction import FirstMachine, first_machine
@@ -77,10 +78,7 @@ class StartResult(Result):
             raise DriveFileError(f"{path}: there is no drive file yet: {self.status.message}")
         require_new(path)
         try:
-            with path.open("x", encoding="utf-8", newline="") as file:
-                file.write(self.text)
-        except FileExistsError:
-            raise _exists(path) from None
+            write_text(path, self.text)
         except OSError as problem:
             raise DriveFileError(f"{path}: cannot be written: {problem.strerror or problem}") from None
         return path

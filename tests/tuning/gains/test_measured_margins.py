@@ -45,6 +45,7 @@ def prepared(axis, measured):
     return set_up(axis, plan, tuning.Requirements(command_noise=None), measured=measured)
 
 
+@pytest.mark.long
 def test_the_measured_requirements_are_the_margins_of_the_measured_loop(axis):
     setup = prepared(axis, [HIDDEN, HIDDEN])
     found = setup.constraints.loop_constraints(as_arrays(smooth(axis.controller)))
