@@ -119,7 +119,9 @@ print(json.dumps({"changed": changed, "backends": sorted(xla_bridge._backends)})
 """
 
 
-@pytest.mark.parametrize("submodules", [False, True], ids=["packages", "all_modules"])
+@pytest.mark.parametrize(
+    "submodules", [False, pytest.param(True, marks=pytest.mark.long)], ids=["packages", "all_modules"]
+)
 def test_importing_changes_and_prints_nothing(submodules):
     skipped = ("experiments.bootstrap", "experiments.__main__", "diffdrive.__main__")
     names = [name for name in map(module_name, SOURCES) if name not in skipped] if submodules else list(PACKAGES)
@@ -169,16 +171,19 @@ def test_wheel_carries_every_module_and_data_file(wheel):
     assert wanted <= set(wheel)
 
 
+@pytest.mark.long
 def test_wheel_carries_nothing_else(wheel):
     assert {name.split("/")[0] for name in wheel if ".dist-info/" not in name} == set(PACKAGES)
 
 
+@pytest.mark.long
 def test_wheel_has_the_console_script(wheel):
     [text] = [content.decode() for name, content in wheel.items() if name.endswith("entry_points.txt")]
     assert "diffdrive = experiments.cli.main:main" in text.splitlines()
     assert "experiments/cli/main.py" in wheel
 
 
+@pytest.mark.long
 def test_wheel_names_the_pythons_it_runs_on(wheel):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     [text] = [content.decode() for name, content in wheel.items() if name.endswith(".dist-info/METADATA")]
