@@ -118,7 +118,8 @@ def _one_speed(shown: ShownMotion, fixed: Collection[str]) -> list[Shortcoming]:
     speed = float(np.median(np.abs(shown.velocity)))
     return [
         Shortcoming(
-            f"viscous and Coulomb friction apart: only their sum at {1e3 * speed:.3g} mm/s",
+            "viscous and Coulomb friction apart but by starts and reversals: of steady sliding, only their sum at "
+            f"{1e3 * speed:.3g} mm/s",
             "the table runs at one speed",
             f"strokes at {1e3 * SECOND_SPEED * speed:.3g} or at {1e3 * speed / SECOND_SPEED:.3g} mm/s beside them",
         )

@@ -32,8 +32,13 @@ def departure_from_symmetry(unknowns: Unknowns, believed: Unknowns) -> Float[Arr
     for field in dataclasses.fields(unknowns):
         pair, expected = getattr(unknowns, field.name), getattr(believed, field.name)
         if isinstance(pair, Directional) and isinstance(expected, Directional):
-            ratio = jnp.log(pair.positive / pair.negative) - jnp.log(expected.positive / expected.negative)
-            rows.append(ratio / DIRECTIONS_STD)
+            rows.append((_log_ratio(pair) - _log_ratio(expected)) / DIRECTIONS_STD)
     level = 0.5 * (unknowns.coulomb.positive + unknowns.coulomb.negative)
     rows.append((unknowns.constant_force - believed.constant_force) / (DIRECTIONS_STD * level))
     return jnp.stack([jnp.asarray(row, dtype=jnp.float64) for row in rows])
+
+
+def _log_ratio(pair: Directional) -> Scalar:
+    """Of the directions; 0 where one of them has none of it, of which no ratio is believed: alike."""
+    has_both = (pair.positive > 0.0) & (pair.negative > 0.0)
+    return jnp.log(jnp.where(has_both, pair.positive, 1.0) / jnp.where(has_both, pair.negative, 1.0))

@@ -152,3 +152,14 @@ def test_an_answer_that_is_worse_on_held_out_logs_than_what_was_believed_is_doub
     assert doubts(true, DRIVE, used, [log]) == []  # no change is no rise
     (against,) = doubts(wrong, DRIVE, used, [log])
     assert "held-out logs the disturbance force rose" in against
+
+
+@pytest.mark.parametrize("believed", [0.0, 1e-3])
+@pytest.mark.parametrize("found", [0.0, 2e-3])
+def test_of_what_a_drive_has_nothing_it_is_alike(believed, found):
+    """A load coefficient of zero has no ratio of its directions: log(0 / 0) made the search diverge at its start."""
+    departed = departure_from_symmetry(
+        with_sides(BELIEVED, "load_coefficient", found, found),
+        with_sides(BELIEVED, "load_coefficient", believed, believed),
+    )
+    np.testing.assert_allclose(departed, 0.0, atol=1e-12)
