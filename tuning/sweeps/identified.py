@@ -20,14 +20,14 @@ FILE = "uncertainty.toml"
 Correlation = Mapping[str, Mapping[str, float]]
 
 
-class Uncertainty(NamedTuple):
+class Distributions(NamedTuple):
     """Distributions by the name of a quantity, as `varied.parse_varied` takes them, and correlations of pairs."""
 
     vary: Mapping[str, str]
     correlation: Correlation
 
 
-def uncertainty(found: Identification) -> Uncertainty:
+def uncertainty(found: Identification) -> Distributions:
     """Each fitted parameter's distribution by its name in a drive, and the correlations between them.
 
     One that is known only in a sum varies as the sum does: its other part stays as in the drive.
@@ -51,7 +51,7 @@ def uncertainty(found: Identification) -> Uncertainty:
         }
         if others:  # all of them, and with all digits: of nearly determined pairs no other numbers are possible
             correlation[found.estimates[k].path] = others
-    return Uncertainty(vary, correlation)
+    return Distributions(vary, correlation)
 
 
 def _distribution(one: ParameterEstimate, deviation: float) -> str:
@@ -67,14 +67,14 @@ def write_uncertainty(folder: Path, found: Identification) -> None:
     write_text(folder / FILE, tomli_w.dumps(uncertainty(found)._asdict()))
 
 
-def read_uncertainty(path: Path) -> Uncertainty:
+def read_uncertainty(path: Path) -> Distributions:
     """What an identification left open: its file uncertainty.toml."""
     tables = read_toml(path, ParameterError, "`diffdrive identify --out FOLDER` writes it")
     if "vary" not in tables:
         raise ParameterError(f"{path}: is no uncertainty.toml of an identification: it has no table [vary]")
     try:
         correlations = cast(Correlation, tables.get("correlation", {}))
-        return Uncertainty(
+        return Distributions(
             {name: str(text) for name, text in cast(Mapping[str, str], tables["vary"]).items()},
             {quantity: {other: float(value) for other, value in of.items()} for quantity, of in correlations.items()},
         )

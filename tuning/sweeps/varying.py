@@ -5,15 +5,15 @@ from collections.abc import Iterable, Mapping
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import quantities
 from diffdrive.motion.text import share
-from tuning.sweeps.identified import Uncertainty
+from tuning.sweeps.identified import Distributions
 from tuning.sweeps.varied import MAX_LOG_DEVIATION, known_quantities
 
 DEFAULT_SPREAD = 0.02
 
 
 def all_that_varies(
-    drive: Drive, vary: Mapping[str, str], spread: str | float | None, identified: Uncertainty | None
-) -> Uncertainty:
+    drive: Drive, vary: Mapping[str, str], spread: str | float | None, identified: Distributions | None
+) -> Distributions:
     """The distribution of each quantity that varies about a drive, and the correlations between them.
 
     What is given for itself goes before what was identified, and both before the spread. Where nothing is given, all
@@ -34,7 +34,7 @@ def all_that_varies(
     if spread is not None or not distributions:
         deviation = DEFAULT_SPREAD if spread is None else share(spread, "spread", at_most=MAX_LOG_DEVIATION)
         distributions |= dict.fromkeys(_not_varied(drive, distributions), f"lognormal:{100.0 * deviation:.12g}%")
-    return Uncertainty(distributions, correlation)
+    return Distributions(distributions, correlation)
 
 
 def _overlap(name: str, other: str) -> bool:

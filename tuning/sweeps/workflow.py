@@ -17,7 +17,7 @@ from diffdrive.support.atomic_write import remove_temporary
 from tuning.identification.workflow import IdentificationResult
 from tuning.progress import Progress, reporting
 from tuning.sweeps.engine import Precision
-from tuning.sweeps.identified import Uncertainty, read_uncertainty, uncertainty
+from tuning.sweeps.identified import Distributions, read_uncertainty, uncertainty
 from tuning.sweeps.notes import convergence_notes
 from tuning.sweeps.parts import ComputedParts, Engine, Notify, in_process, missing_parts, run_parts
 from tuning.sweeps.plan import SweepPlan
@@ -158,7 +158,7 @@ def run_sweep(
     return SweepResult(frame, plan, spec.vary, tolerance, by, status, notes)
 
 
-def _left_open(identified: IdentificationResult | str | Path | None) -> Uncertainty | None:
+def _left_open(identified: IdentificationResult | str | Path | None) -> Distributions | None:
     if isinstance(identified, IdentificationResult):
         return uncertainty(identified.fit)
     return None if identified is None else read_uncertainty(Path(identified))

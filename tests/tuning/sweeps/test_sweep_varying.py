@@ -15,7 +15,7 @@ from experiments.studies.demo import PAPER_DRIVE
 from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.identify import Identification
 from tuning.identification.workflow import IdentificationResult
-from tuning.sweeps.identified import FILE, Uncertainty, read_uncertainty, uncertainty, write_uncertainty
+from tuning.sweeps.identified import FILE, Distributions, read_uncertainty, uncertainty, write_uncertainty
 from tuning.sweeps.identity import identity
 from tuning.sweeps.samples import correlate, correlation_root, unit_samples
 from tuning.sweeps.varying import all_that_varies
@@ -46,7 +46,7 @@ def test_without_anything_else_parameters_vary_a_little():
         all_that_varies(DRIVE, {}, 3, None)
 
 
-IDENTIFIED = Uncertainty(
+IDENTIFIED = Distributions(
     {"plant.mass": "lognormal:101 kg..0.4%", "plant.constant_force": "normal:3 N..0.5 N"},
     {"plant.mass": {"plant.constant_force": -0.9}},
 )
@@ -105,7 +105,7 @@ def test_a_result_of_identify_and_its_file_say_the_same(tmp_path):
 
 def test_one_direction_given_leaves_the_other_as_it_was_identified():
     sides = {"friction.viscous.positive": "lognormal:1800..4%", "friction.viscous.negative": "lognormal:1700..4%"}
-    identified = Uncertainty(sides, {})
+    identified = Distributions(sides, {})
     own = {"friction.viscous.positive": "lognormal:9%"}
     assert all_that_varies(DRIVE, own, None, identified).vary == sides | own
     both = {"friction.viscous": "lognormal:9%"}
