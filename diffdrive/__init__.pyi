@@ -13,6 +13,7 @@ from .loop.run import Run
 from .measured_loop import FrequencyComparison, MeasuredLoop, compare_frequency_response, measured_loop
 from .model.data_sheet import DataSheet
 from .model.trace import Trace
+from .model.uncertainty import Deviation, Uncertainty
 from .motion import load
 from .paper import paper_axis
 from .runtime import configure
@@ -21,6 +22,7 @@ from .simulation import Rollout, rollout, simulate
 __all__ = [
     "Axis",
     "DataSheet",
+    "Deviation",
     "EncoderComparison",
     "FrequencyComparison",
     "FrequencyResponse",
@@ -32,6 +34,7 @@ __all__ = [
     "Run",
     "StabilityMargins",
     "Trace",
+    "Uncertainty",
     "compare_encoders",
     "compare_frequency_response",
     "configure",

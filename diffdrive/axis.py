@@ -20,6 +20,7 @@ from diffdrive.model.data_sheet import NO_SHEET, DataSheet
 from diffdrive.model.parameters import Actuator, Drive, Sampling
 from diffdrive.model.quantity import Directional, is_number, node_at, parameter_value, quantities, with_nodes
 from diffdrive.model.trace import Trace
+from diffdrive.model.uncertainty import Uncertainty
 from diffdrive.motion.motion import Limits
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.bounds import require_a
@@ -31,7 +32,8 @@ PARTS = ("plant", "friction", "actuator", "sensor", "motor_encoder", "effects") 
 class Axis(eqx.Module):
     """What a drive file holds: the drive, its controller, sampling, limits, how its logs read, and its data sheet.
 
-    `name` is what reports call it.
+    `name` is what reports call it. `uncertainty` is that of its parameters, as `identify` found it: `sweep` and `tune`
+    draw machines by it.
 
     A pytree, so that it passes through `jit`, `grad` and `vmap`; no method changes it. The controller's model of the
     machine (its feed-forward, its observer's plant and friction) is the axis's own plant and friction, as in a file. A
@@ -52,6 +54,7 @@ class Axis(eqx.Module):
     name: str = eqx.field(static=True, default="axis")
     trace: Trace = Trace()  # which rows its control writes into a log
     sheet: DataSheet = eqx.field(static=True, default=NO_SHEET)  # what its data sheets say: lead, gear, motor
+    uncertainty: Uncertainty | None = eqx.field(static=True, default=None)  # how well plant and friction are known
 
     @property
     def rate(self) -> float:

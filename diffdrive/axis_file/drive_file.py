@@ -19,6 +19,7 @@ import tomli_w
 from diffdrive.axis import Axis
 from diffdrive.axis_file.controller_file import build_controller, controller_table
 from diffdrive.axis_file.section import TomlSection
+from diffdrive.axis_file.uncertainty_table import parse_uncertainty, uncertainty_table
 from diffdrive.controllers.base import require_rate
 from diffdrive.effects.base import Effect
 from diffdrive.effects.catalogue import EFFECTS
@@ -125,7 +126,17 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
     sheet = _data_sheet(stated)
     sections = {
         name: TomlSection(source, name, root.take(name, {}), sheet)
-        for name in ("plant", "friction", "actuator", "sensor", "controller", "sampling", "trace", "limits")
+        for name in (
+            "plant",
+            "friction",
+            "actuator",
+            "sensor",
+            "controller",
+            "sampling",
+            "trace",
+            "limits",
+            "uncertainty",
+        )
     }
     try:
         mapping = parse_mapping(sheet, *(cast(TomlTable, root.take(key, {})) for key in ("columns", "units", "shifts")))
@@ -176,9 +187,10 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
     except ParameterError as error:
         raise DriveFileError(f"{source}: {error}") from None
     trace = _trace(sections["trace"], sampling.rate, drive)
+    uncertainty = parse_uncertainty(sections["uncertainty"], drive)
     for section in (stated, *sections.values()):
         section.done()
-    return Axis(drive, controller, sampling, limits, mapping, trace=trace, sheet=sheet)
+    return Axis(drive, controller, sampling, limits, mapping, trace=trace, sheet=sheet, uncertainty=uncertainty)
 
 
 def read_axis(path: str | Path) -> Axis:
@@ -224,6 +236,8 @@ def axis_tables(axis: Axis) -> dict[str, TomlTable]:
     for name in ("speed", "acceleration"):
         if np.isfinite(getattr(limits, name)):
             tables["limits"][name] = getattr(limits, name)
+    if uncertainty := uncertainty_table(axis.uncertainty):
+        tables["uncertainty"] = uncertainty
     if drive.effects:
         tables["effects"] = {effect.name: _effect_table(effect, sheet) for effect in drive.effects}
     return tables | mapping_tables(axis.mapping)

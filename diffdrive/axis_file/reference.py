@@ -67,6 +67,14 @@ _OTHER_ROWS = (
     ("limits", "", "speed", "m/s", "> 0", "unlimited", "likewise"),
     ("limits", "", "acceleration", "m/s^2", "> 0", "unlimited", "likewise"),
     (
+        "uncertainty", "", "path of a parameter of plant or friction", "its own, or %", "> 0; at most 100 %", "absent",
+        'standard deviation: `"plant.mass" = "0.5 %"` of its value, or `"plant.constant_force" = "2 N"`',
+    ),
+    (
+        "uncertainty.correlation", "", "path beside path", "-", "-1 to 1", "0",
+        'correlation of two of them: `"plant.mass" = { "friction.viscous" = -0.3 }`',
+    ),
+    (
         "columns", "", "a channel of a log", "", "", "found by its name",
         'the column of the log\'s file that holds it: `position = "qm"`, `command = "dspace.Y.cmd"`',
     ),

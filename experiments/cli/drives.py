@@ -117,12 +117,16 @@ def tune(
         typer.Option(
             min=1,
             max=32,
-            help="Number of machines that the gains must suit: the file's, and others drawn by --spread.",
+            help="Number of machines that the gains must suit: the file's, and others.",
         ),
     ] = 2,
     spread: Annotated[
-        str, typer.Option(help="Uncertainty of the machine's parameters, as 3% or 0.03; at most 50%.")
-    ] = "3%",
+        str | None,
+        typer.Option(
+            help="Relative deviation of the other machines' parameters, as 3% or 0.03; at most 50%. By default the "
+            "drive file's [uncertainty], and 3% of what that does not name."
+        ),
+    ] = None,
     gain_margin: Annotated[
         float, typer.Option(callback=finite, min=0.0, help="Smallest gain margin in dB, up and down.")
     ] = 6.0,

@@ -255,6 +255,7 @@ def _conditions(result: TuningResult) -> dict[str, object]:
         "reversal_speed_m_per_s": plan.top_speed,
         "margins_at_speeds_m_per_s": [float(speed) for speed in result.setup.speeds],
         "parameter_uncertainty": plan.spread,
+        **({} if plan.uncertainty is None else {"uncertain_parameters": list(plan.uncertainty.names)}),
         "control_rate_Hz": float(axis.rate),
         "delay_samples": int(axis.drive.actuator.delay_samples),
         "required": required,

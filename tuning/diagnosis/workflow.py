@@ -220,9 +220,11 @@ def diagnosis_result(axis: Axis, used: CheckedLogs, found: Diagnosis, offer: Exp
 def augmented_axis(axis: Axis, found: Diagnosis) -> Axis:
     """The axis with what was found, whose controller believes in the recalibrated machine.
 
-    Raises `DiffdriveError` where no axis can be that.
+    The uncertainty of an identification is left out: it was found without these effects. Raises `DiffdriveError` where
+    no axis can be that.
     """
-    return dataclasses.replace(axis.with_logged_drive(augmented_drive(found)), name="augmented")
+    recalibrated = axis.with_logged_drive(augmented_drive(found))
+    return dataclasses.replace(recalibrated, name="augmented", uncertainty=None)
 
 
 def augmented_drive(found: Diagnosis) -> Drive:

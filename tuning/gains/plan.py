@@ -15,6 +15,7 @@ from diffdrive.loop.run import Run
 from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.model.quantity import quantities, with_nodes
+from diffdrive.model.uncertainty import Uncertainty
 from diffdrive.motion import load
 from diffdrive.motion.builders import triangular
 from diffdrive.motion.load import validated_load
@@ -25,11 +26,13 @@ from diffdrive.numerics.pipeline import require_shorter
 from diffdrive.support.bounds import require_count, require_number
 from diffdrive.support.messages import short_repr
 from tuning.gains.scenarios import Scenario
+from tuning.gains.uncertain_machine import with_uncertain
 
 OFF_GRID_FACTOR = 1.0137  # at a whole number of quanta a period a quantised loop locks on its grid
 HELD_OUT_SPEEDS = (0.7, 2.0)  # times the speed tuned at
 SETTLE = 0.4  # s: load estimators have found their load by then
 DURATION = 1.2  # s
+SPREAD = 0.03  # of parameters of which nothing is known
 MAX_SPREAD = 0.5
 HELD_OUT_SEED = 1000  # beyond the seed of the machines tuned on
 
@@ -38,17 +41,19 @@ HELD_OUT_SEED = 1000  # beyond the seed of the machines tuned on
 class TuningPlan:
     """How a tuning is set up; loads in N, speed in m/s, `spread` the relative uncertainty of machine parameters.
 
-    The `motion` is a reversal at `speed`, unless one is given; what counts of it begins after `settle` (s).
+    What the `uncertainty` names of these is drawn by that in the place of the spread. The `motion` is a reversal at
+    `speed`, unless one is given; what counts of it begins after `settle` (s).
     """
 
     speed: float = 0.010
     loads: tuple[float, float] = (0.0, 0.0)  # the lowest and the highest
     load_steps: int = 4  # evenly spaced between them
-    spread: float = 0.03
+    spread: float = SPREAD
     machines: int = 2  # nominal, and others drawn within the spread
     seed: int = 0
     motion: Motion | None = None
     settle: float = SETTLE
+    uncertainty: Uncertainty | None = None
 
     def __post_init__(self) -> None:
         require_number("speed", self.speed, "m/s", above=0.0)
@@ -114,15 +119,22 @@ def perturbed(drive: Drive, spread: float, rng: np.random.Generator) -> Drive:
     return with_nodes(machine, values)
 
 
-def machines(drive: Drive, count: int, spread: float, seed: int) -> list[Drive]:
-    """The drive itself, then others with each parameter off by the relative deviation `spread`."""
-    drawn = [perturbed(drive, spread, np.random.default_rng((seed, k))) for k in range(1, count)]
+def machines(drive: Drive, count: int, spread: float, seed: int, uncertainty: Uncertainty | None = None) -> list[Drive]:
+    """The drive itself, then others with each parameter off by the relative deviation `spread`.
+
+    Those that the `uncertainty` names are off by that instead.
+    """
+    drawn = []
+    for k in range(1, count):
+        rng = np.random.default_rng((seed, k))
+        machine = perturbed(drive, spread, rng)
+        drawn.append(machine if uncertainty is None else with_uncertain(machine, drive, uncertainty, rng))
     return [drive, *(jax.tree.map(float, machine) for machine in drawn)]
 
 
 def held_out_machine(drive: Drive, plan: TuningPlan) -> Drive:
-    """A machine within the spread that is not tuned on."""
-    return machines(drive, 2, plan.spread, plan.seed + HELD_OUT_SEED)[1]
+    """A machine within the spread, or the uncertainty, that is not tuned on."""
+    return machines(drive, 2, plan.spread, plan.seed + HELD_OUT_SEED, plan.uncertainty)[1]
 
 
 def training_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
@@ -130,7 +142,8 @@ def training_scenarios(description: Axis, plan: TuningPlan) -> list[Scenario]:
     motion = plan.motion_at(1.0, description.sampling.rate)
     constant = [(f"{w / 1e3:.3g} kN", w) for w in plan.training_loads]
     found: list[Scenario] = []
-    for m, machine in enumerate(machines(description.drive, plan.machines, plan.spread, plan.seed)):
+    drawn = machines(description.drive, plan.machines, plan.spread, plan.seed, plan.uncertainty)
+    for m, machine in enumerate(drawn):
         for name, weight in constant:
             found.append(Scenario(f"{_machine_name(m)}, {name}", machine, motion, weight, len(found) + 1))
     lowest, half, time = plan.loads[0], 0.5 * sum(plan.loads), motion.time

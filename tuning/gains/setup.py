@@ -74,6 +74,11 @@ def set_up(
         f"{one.name}: measured from {one.frequency[0]:.3g} to {one.frequency[-1]:.4g} Hz; its margins hold within."
         for one in measured
     ]
+    if plan.uncertainty is not None:
+        notes.append(
+            f"Other machines are drawn by the [uncertainty] of the drive file ({', '.join(plan.uncertainty.names)}), "
+            f"and by {100.0 * plan.spread:.3g} % in all other parameters of plant and friction."
+        )
     constraints = Constraints(limits, grid, coarse, _measured_machines(axis, plan, coarse, measured))
     return TuningSetup(
         training, held_out_runs, lanes, limits, constraints, space, speeds, friction, tuple(notes), tuple(measured)

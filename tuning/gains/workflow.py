@@ -8,7 +8,7 @@ from diffdrive.frequency.response import FrequencyResponse
 from diffdrive.motion.motion import Motion, require_motion
 from tuning.gains.measured import measured_margins_of
 from tuning.gains.objective import Objective
-from tuning.gains.plan import SETTLE, TuningPlan, spread_of
+from tuning.gains.plan import SETTLE, SPREAD, TuningPlan, spread_of
 from tuning.gains.requirements import Requirements
 from tuning.gains.result import TuningResult, tuning_result
 from tuning.gains.setup import set_up
@@ -29,7 +29,7 @@ def tune(
     objective: Objective = Objective(),
     measured: FrequencyResponse | Sequence[FrequencyResponse] = (),
     friction: bool = False,
-    spread: str | float = 0.03,
+    spread: str | float | None = None,
     machines: int = 2,
     settle: float | None = None,
     starts: int = STARTS,
@@ -56,7 +56,8 @@ def tune(
             kept in the loops with these in the place of the model's plant, too, within their bands. Of a closed loop it
             was measured with the gains of `axis`.
         friction: Tune what the observer believes of the friction along.
-        spread: Relative deviation of the machines' parameters from the axis's, such as `"3%"` or 0.03; at most 0.5.
+        spread: Relative deviation of the machines' parameters from the axis's, such as `"3%"` or 0.03; at most 0.5. By
+            default they are drawn by the `uncertainty` of the axis, and by 3 % where that does not name them.
         machines: How many machines it is tuned on, the axis's own among them.
         settle: From when on errors count (s); by default a third of the motion, at most 0.4 s.
         starts: Starting points of the search.
@@ -84,8 +85,9 @@ def tune(
     if settle is None:
         settle = SETTLE if motion is None else min(SETTLE, motion.duration / 3.0)
     plan = TuningPlan(
-        speed=speed, loads=loads, load_steps=load_steps, spread=spread_of(spread), machines=machines, seed=seed,
-        motion=motion, settle=settle,
+        speed=speed, loads=loads, load_steps=load_steps, spread=SPREAD if spread is None else spread_of(spread),
+        machines=machines, seed=seed, motion=motion, settle=settle,
+        uncertainty=axis.uncertainty if spread is None else None,
     )  # fmt: skip
     options = SearchOptions(starts, seed, max_steps)
     responses = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)

@@ -1,6 +1,7 @@
 """Estimates with intervals, in the names and units of the drive file."""
 
 import enum
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -10,8 +11,9 @@ from jaxtyping import Array, Float
 
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import Directional
+from diffdrive.model.uncertainty import MAX_LOG_DEVIATION, Deviation, Uncertainty
 from diffdrive.numerics.arrays import Scalar
-from tuning.identification.parameters import PARAMETERS, SIDES, IdentifiedParameter
+from tuning.identification.parameters import PARAMETERS, SIDES, IdentifiedParameter, parameter_at
 from tuning.identification.problem import IdentificationProblem, Innovations
 from tuning.identification.uncertainty import Covariance
 from tuning.identification.unknowns import Unknowns, free_paths, with_value
@@ -141,6 +143,37 @@ def estimates(
         unit, believed, found = row.parameter.unit, float(row.value), (float(value), float(low), float(high))
         table.append(ParameterEstimate(row.path, unit, believed, *found, lowest, highest, status))
     return table, covariance_of_values * (covariance.quantile / NORMAL) ** 2
+
+
+def left_open(table: Sequence[ParameterEstimate], covariance: Float[np.ndarray, "q q"]) -> Uncertainty | None:
+    """How well the parameters that were fitted are known: those that a drive has, by their paths in it; None for none.
+
+    One that is known only in a sum is as uncertain as the sum: its other part stays as in the drive.
+    """
+    variance = np.diag(covariance)
+    kept = [
+        k
+        for k, one in enumerate(table)
+        if one.status in (EstimateStatus.FITTED, EstimateStatus.IN_A_SUM)
+        and parameter_at(one.path).in_drive
+        and 0.0 < variance[k] < np.inf
+    ]
+    if not kept:
+        return None
+    of_kept = np.sqrt(variance[kept])
+    # with all digits: of nearly determined pairs no other numbers are possible
+    correlation = np.clip(covariance[np.ix_(kept, kept)] / np.outer(of_kept, of_kept), -1.0, 1.0)
+    np.fill_diagonal(correlation, 1.0)
+    deviations = [_deviation(table[k], float(one)) for k, one in zip(kept, of_kept, strict=True)]
+    names = [table[k].path for k in kept]
+    return Uncertainty(tuple(names), tuple(deviations), tuple(map(tuple, correlation.tolist())))
+
+
+def _deviation(one: ParameterEstimate, deviation: float) -> Deviation:
+    if parameter_at(one.path).is_signed or one.value <= 0.0:
+        return Deviation(deviation, is_relative=False)
+    # beyond that nothing is known of it but that it is positive
+    return Deviation(min(deviation / one.value, MAX_LOG_DEVIATION))
 
 
 def _rests_on_open_slope(row: ReportedParameter, problem: IdentificationProblem, undetermined: set[str]) -> bool:

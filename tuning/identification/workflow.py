@@ -14,7 +14,7 @@ from diffdrive.results import Result, Status
 from tuning.checked_logs import CheckedLogs, checked, require_sound
 from tuning.experiment_design.next_motion import Proposal, propose_motions
 from tuning.identification.doubts import DeterminedSum, determined_sums, doubts
-from tuning.identification.estimates import EstimateStatus, ParameterEstimate
+from tuning.identification.estimates import EstimateStatus, ParameterEstimate, left_open
 from tuning.identification.excitation import shortcomings
 from tuning.identification.gaps import Gap, gaps
 from tuning.identification.identify import Identification, require_search
@@ -36,9 +36,10 @@ BELIEVABLE = ("ok", "structure_remains")  # codes of searches that converged
 class IdentificationResult(Result):
     """The axis as identified from logs, and how sure each of its parameters is.
 
-    `axis` has the identified machine, and a controller that believes in it. `estimates` are the parameters one by one;
-    `fit` has the rest: covariance, residuals, adequacy. `held_out` are logs that were only looked at afterwards, by
-    `gaps`; what long logs were not fitted of is among them. `shortcomings` is what the logs could not determine.
+    `axis` has the identified machine with its `uncertainty`, and a controller that believes in it. `estimates` are the
+    parameters one by one; `fit` has the rest: covariance, residuals, adequacy. `held_out` are logs that were only
+    looked at afterwards, by `gaps`; what long logs were not fitted of is among them. `shortcomings` is what the logs
+    could not determine.
 
     Not ok: the search did not converge, or something speaks against its answer (code `doubtful`): starts that disagree,
     friction far from what inverse dynamics shows, or held-out logs from which the identified axis is further than the
@@ -253,8 +254,10 @@ def _result(
     notes += [unstated] if unstated else []
     if not axis.logs_show_delay:
         notes.append(f"{axis.unseen_controller}: the delay found is that of the trace, and [actuator] stays as it was")
+    known = left_open(found.estimates, found.estimate_covariance)
+    identified = replace(axis.with_logged_drive(found.drive), name="identified", uncertainty=known)
     return IdentificationResult(
-        replace(axis.with_logged_drive(found.drive), name="identified"), tuple(found.estimates), found, used, held_out,
+        identified, tuple(found.estimates), found, used, held_out,
         tuple(notes), seen, _status(found, against, lacking, sums), tuple(against), tuple(lacking),
     )  # fmt: skip
 

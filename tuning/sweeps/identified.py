@@ -1,23 +1,21 @@
-"""What an identification left open, as what a sweep varies: uncertainty.toml."""
+"""What is not known of a machine, as what a sweep varies: an axis's uncertainty, and the file uncertainty.toml."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple, cast
 
-import numpy as np
 import tomli_w
 
+from diffdrive.axis import Axis
 from diffdrive.errors import ParameterError
+from diffdrive.model.motor_units import axis_unit
+from diffdrive.model.uncertainty import Uncertainty
+from diffdrive.numerics.correlation import Correlation
 from diffdrive.support.atomic_write import write_text
 from diffdrive.support.text_file import read_toml
-from tuning.identification.estimates import EstimateStatus, ParameterEstimate
-from tuning.identification.identify import Identification
-from tuning.identification.parameters import parameter_at
-from tuning.sweeps.varied import MAX_LOG_DEVIATION
+from tuning.sweeps.varied import known_quantities
 
 FILE = "uncertainty.toml"
-
-Correlation = Mapping[str, Mapping[str, float]]
 
 
 class Distributions(NamedTuple):
@@ -27,44 +25,35 @@ class Distributions(NamedTuple):
     correlation: Correlation
 
 
-def uncertainty(found: Identification) -> Distributions:
-    """Each fitted parameter's distribution by its name in a drive, and the correlations between them.
-
-    One that is known only in a sum varies as the sum does: its other part stays as in the drive.
-    """
-    kept = [
-        k
-        for k, one in enumerate(found.estimates)
-        if one.status in (EstimateStatus.FITTED, EstimateStatus.IN_A_SUM)
-        and parameter_at(one.path).in_drive
-        and found.estimate_covariance[k, k] > 0.0
-    ]
-    deviation = np.sqrt(np.diag(found.estimate_covariance))
-    vary = {found.estimates[k].path: _distribution(found.estimates[k], float(deviation[k])) for k in kept}
-    correlation: dict[str, dict[str, float]] = {}
-    for at, k in enumerate(kept):
-        others = {
-            found.estimates[j].path: float(
-                np.clip(found.estimate_covariance[k, j] / (deviation[k] * deviation[j]), -1.0, 1.0)
-            )
-            for j in kept[at + 1 :]
-        }
-        if others:  # all of them, and with all digits: of nearly determined pairs no other numbers are possible
-            correlation[found.estimates[k].path] = others
-    return Distributions(vary, correlation)
+def about_nominal(uncertainty: Uncertainty) -> Distributions:
+    """What is uncertain, about the values of the drive that varies."""
+    return _distributions(uncertainty, dict.fromkeys(uncertainty.names, ""), dict.fromkeys(uncertainty.names, ""))
 
 
-def _distribution(one: ParameterEstimate, deviation: float) -> str:
-    unit = "" if one.unit == "1" else f" {one.unit}"
-    if parameter_at(one.path).is_signed or one.value <= 0.0:
-        return f"normal:{one.value:.10g}{unit}..{deviation:.6g}{unit}"
-    # beyond that nothing is known of it but that it is positive, and a sweep takes no wider one
-    return f"lognormal:{one.value:.10g}{unit}..{100.0 * min(deviation / one.value, MAX_LOG_DEVIATION):.6g}%"
+def about_identified(axis: Axis) -> Distributions:
+    """What is uncertain of an identified axis about its own values, whatever the drive that varies."""
+    if axis.uncertainty is None:
+        return Distributions({}, {})
+    known = known_quantities(axis.drive, axis.sheet)
+    units = {name: axis_unit(known[name].unit, axis.sheet) for name in axis.uncertainty.names}
+    units = {name: "" if unit == "1" else f" {unit}" for name, unit in units.items()}
+    middles = {name: f"{known[name].values[0]!r}{unit}.." for name, unit in units.items()}
+    return _distributions(axis.uncertainty, middles, units)
 
 
-def write_uncertainty(folder: Path, found: Identification) -> None:
+def _distributions(uncertainty: Uncertainty, middles: Mapping[str, str], units: Mapping[str, str]) -> Distributions:
+    """With all digits, so that the same machines are drawn of a result, of its files and of its axis."""
+    stated = zip(uncertainty.names, uncertainty.deviations, strict=True)
+    texts = {
+        name: f"lognormal:{middles[name]}{value!r}" if is_relative else f"normal:{middles[name]}{value!r}{units[name]}"
+        for name, (value, is_relative) in stated
+    }
+    return Distributions(texts, uncertainty.correlations)
+
+
+def write_uncertainty(folder: Path, identified: Axis) -> None:
     """As a file."""
-    write_text(folder / FILE, tomli_w.dumps(uncertainty(found)._asdict()))
+    write_text(folder / FILE, tomli_w.dumps(about_identified(identified)._asdict()))
 
 
 def read_uncertainty(path: Path) -> Distributions:

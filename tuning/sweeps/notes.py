@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from diffdrive.axis import Axis
 from diffdrive.loop.convergence import convergence_warnings
 from tuning.sweeps.duty_cycles import DutyCycle
+from tuning.sweeps.identified import Distributions, about_nominal
 from tuning.sweeps.plan import SweepPlan
 
 
@@ -19,6 +21,15 @@ def convergence_notes(plan: SweepPlan) -> tuple[str, ...]:
                     first.setdefault(text.partition(" at ")[0], text)
             notes += [f"{motion}, {name}: {text}" for text in first.values()]
     return tuple(notes)
+
+
+def uncertainty_notes(axis: Axis, varied: Distributions) -> tuple[str, ...]:
+    """Which parameters vary since the axis says how well it knows them."""
+    left_open = {} if axis.uncertainty is None else about_nominal(axis.uncertainty).vary
+    own = [name for name, text in left_open.items() if varied.vary.get(name) == text]
+    if not own:
+        return ()
+    return (f"{axis.name}: varies by the [uncertainty] of its drive file: {', '.join(own)}.",)
 
 
 def extreme_cycles(plan: SweepPlan, motion: str) -> list[DutyCycle]:

@@ -183,8 +183,8 @@ class SweepPlan:
         return {quantity.name: found[quantity.name] for quantity in self.varied}
 
     def axis_of(self, drive: Drive) -> Axis:
-        """The axis with another drive in it: what a machine's drive file says."""
-        return replace(self.axis, drive=drive)
+        """The axis with another drive in it: what a machine's drive file says. Of one machine nothing is uncertain."""
+        return replace(self.axis, drive=drive, uncertainty=None)
 
     @property
     def units(self) -> dict[str, str]:

@@ -5,7 +5,7 @@ anywhere, or again, without the others. Sobol points go on from part to part (th
 independent anyway; Latin hypercubes are one hypercube in each part.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -14,9 +14,9 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 from diffdrive.errors import ParameterError
+from diffdrive.numerics.correlation import Correlation, correlation_matrix, root_of
 
 Method = Literal["sobol", "latin-hypercube", "random"]
-ROUNDING = 0.01  # of a correlation: numbers that were rounded may be of no quantities by as much
 
 
 def unit_samples(
@@ -46,34 +46,13 @@ def unit_samples(
     return own.random((count, dimensions))
 
 
-def correlation_root(
-    correlation: Mapping[str, Mapping[str, float]], names: Sequence[str]
-) -> Float[np.ndarray, "d d"] | None:
+def correlation_root(correlation: Correlation, names: Sequence[str]) -> Float[np.ndarray, "d d"] | None:
     """A matrix whose product with its transpose is the correlation between `names`; None where there is none.
 
     `correlation` holds pairs of names, each pair once or twice. Raises `ParameterError` for numbers that no quantities
     can have. What rounding made impossible becomes what is possible nearby.
     """
-    if not correlation:
-        return None
-    matrix = np.eye(len(names))
-    for name, others in correlation.items():
-        for other, value in others.items():
-            if name not in names or other not in names:
-                missing = name if name not in names else other
-                raise ParameterError(f"correlation: {missing} is not varied")
-            if name == other:
-                continue
-            a, b = names.index(name), names.index(other)
-            if not -1.0 <= value <= 1.0 or matrix[a, b] not in (0.0, value):
-                raise ParameterError(f"correlation: of {name} and {other} is {value!r}: one number from -1 to 1")
-            matrix[a, b] = matrix[b, a] = value
-    bends, along = np.linalg.eigh(matrix)
-    root = along * np.sqrt(np.clip(bends, 0.0, None)) @ along.T
-    root /= np.linalg.norm(root, axis=1, keepdims=True)
-    if np.abs(root @ root.T - matrix).max() > ROUNDING:
-        raise ParameterError("correlation: no quantities can be correlated like that (the matrix is not positive)")
-    return np.asarray(root)
+    return root_of(correlation_matrix(correlation, names, "is not varied")) if correlation else None
 
 
 def correlate(shares: Float[np.ndarray, "n d"], root: Float[np.ndarray, "d d"]) -> Float[np.ndarray, "n d"]:

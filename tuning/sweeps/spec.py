@@ -15,11 +15,11 @@ from diffdrive.errors import DriveFileError, ParameterError
 from diffdrive.model.data_sheet import NO_SHEET, DataSheet
 from diffdrive.motion.motion import Motion
 from diffdrive.motion.text import Recipe, motion_recipe, parse_motion
+from diffdrive.numerics.correlation import Correlation
 from diffdrive.support.atomic_write import write_text
 from diffdrive.support.bounds import require_a
 from diffdrive.support.rates import require_same_rate
 from tuning.sweeps.engine import LEAST_IN_A_PART, Precision, most_in_a_part
-from tuning.sweeps.identified import Correlation
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.samples import Method
 

@@ -17,6 +17,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.model.data_sheet import NO_SHEET, DataSheet
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import quantities
+from diffdrive.model.uncertainty import MAX_LOG_DEVIATION
 from diffdrive.motion.text import number, numbers
 
 # Beside what the drive file holds: a load that changes linearly between two times, and is constant outside.
@@ -33,7 +34,6 @@ KINDS = {
 NUMBERS = {
     "uniform": (2,), "loguniform": (2,), "triangular": (3,), "normal": (1, 2), "lognormal": (1, 2), "fixed": (1,),
 }  # fmt: skip
-MAX_LOG_DEVIATION = 1.0  # deviation of a logarithm: already a factor of 55 at four of them, wider is a slip of the pen
 MAX_SIGMAS = 4.0  # standard deviations: no sample is decided by a machine that nobody will see
 
 Values = Float[np.ndarray, " n"]

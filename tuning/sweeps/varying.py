@@ -4,9 +4,10 @@ from collections.abc import Iterable, Mapping
 
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import quantities
+from diffdrive.model.uncertainty import MAX_LOG_DEVIATION
 from diffdrive.motion.text import share
 from tuning.sweeps.identified import Distributions
-from tuning.sweeps.varied import MAX_LOG_DEVIATION, known_quantities
+from tuning.sweeps.varied import known_quantities
 
 DEFAULT_SPREAD = 0.02
 

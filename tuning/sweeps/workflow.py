@@ -17,8 +17,8 @@ from diffdrive.support.atomic_write import remove_temporary
 from tuning.identification.workflow import IdentificationResult
 from tuning.progress import Progress, reporting
 from tuning.sweeps.engine import Precision
-from tuning.sweeps.identified import Distributions, read_uncertainty, uncertainty
-from tuning.sweeps.notes import convergence_notes
+from tuning.sweeps.identified import Distributions, about_identified, about_nominal, read_uncertainty
+from tuning.sweeps.notes import convergence_notes, uncertainty_notes
 from tuning.sweeps.parts import ComputedParts, Engine, Notify, in_process, missing_parts, run_parts
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.result import SweepResult
@@ -61,8 +61,9 @@ def sweep(
 ) -> SweepResult:
     """Run an axis on many machines, under many loads, with noise of its own each, and say how often it misses.
 
-    What varies is what `vary` says, then what an identification left open, then the `spread` of all other parameters of
-    plant and friction; where none of these is given, those parameters vary by 2 %. Method: docs/method/sweeps.md.
+    What varies is what `vary` says, then what an identification left open (`identified`, else the `uncertainty` of the
+    axis that the machines vary about), then the `spread` of all other parameters of plant and friction; where there is
+    none of these, those parameters vary by 2 %. Method: docs/method/sweeps.md.
 
     Args:
         axis: The drive and its controller.
@@ -72,7 +73,8 @@ def sweep(
             "plant.mass": "lognormal:3%", "motion.amplitude": "uniform:1..2 mm"}`.
         spread: Relative deviation of all other parameters of plant and friction, such as `"3%"` or 0.03.
         identified: The result of `identify`, or its file uncertainty.toml: what was fitted varies as far as the logs
-            left it open, with its correlations.
+            left it open about what it found, with its correlations. By default the axis's own `uncertainty` about the
+            axis's values.
         against: Other axes by name, whose controllers are run on the same machines.
         machine: The axis that the machines vary about, where that is not the axis itself.
         samples: Machines.
@@ -111,7 +113,9 @@ def sweep(
     require_choice("by", "error", by, ERRORS)
     if tolerance is not None and not tolerance > 0.0:
         raise ParameterError(f"tolerance: must be above zero, in m, got {tolerance!r}")
-    varied = all_that_varies((axis if machine is None else machine).drive, vary or {}, spread, _left_open(identified))
+    about = axis if machine is None else machine
+    varied = all_that_varies(about.drive, vary or {}, spread, _left_open(identified, about))
+    notes = () if identified is not None else uncertainty_notes(about, varied)
     spec = SweepSpec.of(
         axis, motions, varied.vary, int(samples), machine=machine, against=dict(against or {}), method=method,
         seed=int(seed), load=load if isinstance(load, str) else f"{float(load):.17g}", settle=float(settle),
@@ -122,7 +126,7 @@ def sweep(
     with reporting(progress) as tell:
         result = run_sweep(
             spec, folder, _engine(spec, workers, cluster), tolerance=tolerance, by=by, started=started, notify=notify,
-            done=lambda machines: tell("machines", machines, spec.samples),
+            notes=notes, done=lambda machines: tell("machines", machines, spec.samples),
         )  # fmt: skip
     if out is not None:
         result.save(out)
@@ -131,17 +135,18 @@ def sweep(
 
 def run_sweep(
     spec: SweepSpec, folder: Path | None, engine: Engine, *, tolerance: float | None, by: str, started: Started,
-    notify: Notify, done: Callable[[int], None],
+    notify: Notify, done: Callable[[int], None], notes: tuple[str, ...] = (),
 ) -> SweepResult:  # fmt: skip
     """Run the machines of a sweep that are not in the folder yet, and say what became of all.
 
-    Raises `ParameterError` for a sweep that cannot be run, before anything is written.
+    `notes` go before those of the plan. Raises `ParameterError` for a sweep that cannot be run, before anything is
+    written.
     """
     plan = spec.plan()
     require_resources(plan, Path(tempfile.gettempdir()) if folder is None else folder)
     if folder is not None:
         missing_parts(plan, folder / PARTS)  # what is there may be of another sweep
-    notes = convergence_notes(plan)
+    notes += convergence_notes(plan)
 
     def begin() -> None:
         started(plan, notes)
@@ -158,10 +163,13 @@ def run_sweep(
     return SweepResult(frame, plan, spec.vary, tolerance, by, status, notes)
 
 
-def _left_open(identified: IdentificationResult | str | Path | None) -> Distributions | None:
+def _left_open(identified: IdentificationResult | str | Path | None, about: Axis) -> Distributions | None:
+    """What an identification left open: the one that is given, else that of the axis that the machines vary about."""
     if isinstance(identified, IdentificationResult):
-        return uncertainty(identified.fit)
-    return None if identified is None else read_uncertainty(Path(identified))
+        return about_identified(identified.axis)
+    if identified is not None:
+        return read_uncertainty(Path(identified))
+    return None if about.uncertainty is None else about_nominal(about.uncertainty)
 
 
 def _engine(spec: SweepSpec, workers: int | None, cluster: str | None) -> Engine:

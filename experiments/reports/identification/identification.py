@@ -92,7 +92,7 @@ def report_identification(report: Report, result: IdentificationResult) -> None:
     if report.out is not None:
         if name := write_axis_file(report, result.axis, "identified.toml"):
             report.keep("written", file=name)
-        write_uncertainty(report.out, result.fit)
+        write_uncertainty(report.out, result.axis)
     for doubt in result.doubts:
         report.say(f"Doubtful: {doubt}.")
     for lack in result.shortcomings:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from diffdrive.axis_file.drive_file import read_axis
+from diffdrive.model.uncertainty import Deviation, Uncertainty
 from experiments.reports.report import Report
 from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.tuning_study.study import (
@@ -19,9 +20,18 @@ from experiments.studies.tuning_study.study import (
     benchmark,
     tuning_study,
 )
-from tuning.gains.plan import OFF_GRID_FACTOR, TuningPlan, held_out_scenarios, machines, reversal, training_scenarios
+from tuning.gains.plan import (
+    HELD_OUT_SEED,
+    OFF_GRID_FACTOR,
+    TuningPlan,
+    held_out_scenarios,
+    machines,
+    reversal,
+    training_scenarios,
+)
 from tuning.gains.requirements import operating_points
 from tuning.gains.sequential import FEASIBILITY_TOLERANCE
+from tuning.gains.setup import set_up
 from tuning.gains.tune import default_space
 
 PLAN = TuningPlan(loads=(0.0, 12_600.0))
@@ -75,6 +85,50 @@ def test_machines_lie_within_a_few_spreads_and_begin_with_the_drive_itself(descr
     masses = np.array([one.plant.mass for one in drawn[1:]])
     assert np.all(np.abs(masses / drawn[0].plant.mass - 1.0) < 0.15)
     assert len(set(masses)) == 5
+
+
+KNOWN = Uncertainty.of(
+    {
+        "plant.mass": Deviation(0.01),
+        "plant.constant_force": Deviation(2.0, is_relative=False),
+        "friction.viscous.positive": Deviation(0.2),
+    },
+    {"plant.mass": {"plant.constant_force": -0.8}},
+)
+
+
+def test_machines_of_a_drive_that_is_known_are_drawn_by_what_is_known(description):
+    drawn = machines(description.drive, 401, 0.03, 1, KNOWN)
+    assert drawn[0] == description.drive
+    mass = np.log([one.plant.mass / drawn[0].plant.mass for one in drawn[1:]])
+    force = np.array([one.plant.constant_force for one in drawn[1:]])
+    viscous = np.log([one.friction.viscous.positive / drawn[0].friction.viscous.positive for one in drawn[1:]])
+    # a standard deviation of 400 is within 4 / sqrt(2 * 400) of the true one, 14 %
+    assert [np.std(mass), np.std(force), np.std(viscous)] == pytest.approx([0.01, 2.0, 0.2], rel=0.14)
+    assert np.corrcoef(mass, force)[0, 1] == pytest.approx(-0.8, abs=4.0 * (1.0 - 0.8**2) / np.sqrt(400.0))
+    assert abs(np.corrcoef(mass, viscous)[0, 1]) < 4.0 / np.sqrt(400.0)
+
+
+def test_what_is_not_known_keeps_the_spread_and_its_draws(description):
+    known, spread = (machines(description.drive, 3, 0.03, 1, uncertainty) for uncertainty in (KNOWN, None))
+    for one, other in zip(known[1:], spread[1:], strict=True):
+        assert one.plant.mass != other.plant.mass
+        assert one.friction.viscous.positive != other.friction.viscous.positive
+        assert one.friction.viscous.negative == other.friction.viscous.negative
+        assert one.friction.coulomb_screw == other.friction.coulomb_screw
+        assert one.actuator == other.actuator
+
+
+def test_the_plan_draws_by_what_is_known_and_says_so(description):
+    plan = TuningPlan(loads=(0.0, 0.0), uncertainty=KNOWN)
+    on, off = training_scenarios(description, plan), held_out_scenarios(description, plan)
+    drives = [one.drive for one in on + off if "machine" in one.name]
+    expected = [machines(description.drive, 2, plan.spread, seed, KNOWN)[1] for seed in (0, HELD_OUT_SEED)]
+    assert drives == expected
+    assert (
+        "(plant.mass, plant.constant_force, friction.viscous.positive), and by 3 %"
+        in set_up(description, plan).notes[-1]
+    )
 
 
 def test_a_reversal_turns_once_and_cruises_at_its_speed():

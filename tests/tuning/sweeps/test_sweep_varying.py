@@ -1,5 +1,8 @@
 """What varies, from what a user gives; quantities that vary together."""
 
+from dataclasses import replace
+
+import jax
 import numpy as np
 import pytest
 import scipy.stats
@@ -10,12 +13,12 @@ from hypothesis.extra import numpy as hnp
 import tuning
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.model.uncertainty import Deviation
 from experiments.cli.sweeps import parse_tolerance, parse_vary
 from experiments.studies.demo import PAPER_DRIVE
-from tuning.identification.estimates import EstimateStatus, ParameterEstimate
-from tuning.identification.identify import Identification
+from tuning.identification.estimates import EstimateStatus, ParameterEstimate, left_open
 from tuning.identification.workflow import IdentificationResult
-from tuning.sweeps.identified import FILE, Distributions, read_uncertainty, uncertainty, write_uncertainty
+from tuning.sweeps.identified import FILE, Distributions, about_identified, read_uncertainty, write_uncertainty
 from tuning.sweeps.identity import identity
 from tuning.sweeps.samples import correlate, correlation_root, unit_samples
 from tuning.sweeps.varying import all_that_varies
@@ -67,40 +70,102 @@ def test_an_identification_says_what_varies_and_how_it_hangs_together(tmp_path):
     assert together == {"plant.mass": {}}
 
 
-def identification():
-    """A fit of three parameters, two of which hang together."""
-    found = object.__new__(Identification)
+def identified_axis():
+    """The axis of a fit of three parameters, two of which hang together."""
     estimates = [
-        ParameterEstimate("plant.mass", "kg", 100.0, 101.0, 100.0, 102.0, 50.0, 200.0, EstimateStatus.FITTED),
-        ParameterEstimate("plant.constant_force", "N", 0.0, 3.0, 2.0, 4.0, -9.0, 9.0, EstimateStatus.FITTED),
+        ParameterEstimate("plant.mass", "kg", 100.0, 101.1, 100.0, 102.0, 50.0, 200.0, EstimateStatus.FITTED),
+        ParameterEstimate("plant.constant_force", "N", 0.0, 3.3, 2.0, 4.0, -9.0, 9.0, EstimateStatus.FITTED),
         ParameterEstimate("friction.viscous", "N*s/m", 1e3, 1e3, 1e3, 1e3, 1e3, 1e3, EstimateStatus.FIXED),
     ]
     covariance = np.array([[0.25, -0.225, 0.0], [-0.225, 0.25, 0.0], [0.0, 0.0, 0.0]])
-    vars(found).update(estimates=estimates, estimate_covariance=covariance)
-    return found
+    axis = read_axis(PAPER_DRIVE).replace({one.path: one.value for one in estimates[:2]})
+    return replace(axis, uncertainty=left_open(estimates, covariance))
+
+
+def result_of(axis):
+    result = object.__new__(IdentificationResult)
+    vars(result).update(axis=axis)
+    return result
+
+
+def planned(axis, **options):
+    """The plan and the notes of a sweep, of which nothing is run."""
+    began = []
+
+    def started(plan, notes):
+        began.append((plan, notes))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tuning.sweep(axis, SINE, settle=0.0, samples=8, started=started, **options)
+    return began[0]
+
+
+def test_what_was_fitted_is_left_open_relative_to_its_value_or_in_its_unit():
+    known = identified_axis().uncertainty
+    assert known.names == ("plant.mass", "plant.constant_force")
+    assert known.deviations == (Deviation(0.5 / 101.1), Deviation(0.5, is_relative=False))
+    assert known.correlations == {"plant.mass": {"plant.constant_force": pytest.approx(-0.9)}}
+    assert left_open([], np.zeros((0, 0))) is None
 
 
 def test_a_result_of_identify_and_its_file_say_the_same(tmp_path):
-    fit = identification()
-    left = uncertainty(fit)
-    assert left.vary == {"plant.mass": "lognormal:101 kg..0.49505%", "plant.constant_force": "normal:3 N..0.5 N"}
-    assert left.correlation["plant.mass"]["plant.constant_force"] == pytest.approx(-0.9)
-    write_uncertainty(tmp_path, fit)
+    axis = identified_axis()
+    left = about_identified(axis)
+    assert left.vary == {
+        "plant.mass": f"lognormal:101.1 kg..{0.5 / 101.1!r}",
+        "plant.constant_force": "normal:3.3 N..0.5 N",
+    }
+    write_uncertainty(tmp_path, axis)
     assert read_uncertainty(tmp_path / FILE) == left
-    result = object.__new__(IdentificationResult)
-    vars(result).update(fit=fit)
-    began = []
+    of_all = (result_of(axis), tmp_path / FILE, str(tmp_path / FILE))
+    began = [planned(read_axis(PAPER_DRIVE), identified=identified) for identified in of_all]
+    assert len({identity(plan) for plan, _ in began}) == 1
+    plan, notes = began[0]
+    assert plan.correlation == left.correlation
+    assert list(plan.units) == list(left.vary)
+    assert not any("[uncertainty]" in note for note in notes)
 
-    def started(plan, _):
-        began.append(plan)
-        raise KeyboardInterrupt
 
-    for identified in (result, tmp_path / FILE, str(tmp_path / FILE)):
-        with pytest.raises(KeyboardInterrupt):
-            tuning.sweep(read_axis(PAPER_DRIVE), SINE, identified=identified, settle=0.0, samples=8, started=started)
-    assert len({identity(plan) for plan in began}) == 1
-    assert began[0].correlation == left.correlation
-    assert list(began[0].units) == list(left.vary)
+def test_an_axis_that_says_how_well_it_is_known_varies_as_its_identification_left_it(tmp_path):
+    """To the last bit, from a drive file, too: machines are all that could differ."""
+    axis = identified_axis()
+    axis.write(tmp_path / "identified.toml")
+    expected, _ = planned(axis, identified=result_of(axis))
+    for own in (axis, read_axis(tmp_path / "identified.toml")):
+        plan, notes = planned(own)
+        drives, loads, values, _ = plan.machines(np.arange(8))
+        wanted, no_loads, same, _ = expected.machines(np.arange(8))
+        assert [np.asarray(x).tolist() for x in jax.tree.leaves((drives, loads))] == [
+            np.asarray(x).tolist() for x in jax.tree.leaves((wanted, no_loads))
+        ]
+        assert {name: value.tolist() for name, value in values.items()} == {
+            name: value.tolist() for name, value in same.items()
+        }
+        assert notes[0].endswith("varies by the [uncertainty] of its drive file: plant.mass, plant.constant_force.")
+
+
+@pytest.mark.long
+def test_a_sweep_of_an_identified_axis_is_that_with_its_identification():
+    axis = identified_axis()
+    own, given = (tuning.sweep(axis, SINE, settle=0.0, samples=8, **options) for options in (
+        {}, {"identified": result_of(axis)}
+    ))  # fmt: skip
+    assert own.frame.equals(given.frame)
+
+
+def test_what_is_given_goes_before_what_the_axis_says_of_itself():
+    axis = identified_axis()
+    plan, notes = planned(axis, vary={"plant.mass": "lognormal:5%", "load": "uniform:0..1 kN"}, spread="3%")
+    texts = dict(one.text.split("=") for one in plan.varied)
+    assert texts["plant.mass"] == "lognormal:5%"
+    assert texts["plant.constant_force"] == "normal:0.5"
+    assert texts["friction.viscous"] == "lognormal:3%"
+    assert notes[0].endswith("drive file: plant.constant_force.")
+    machine = replace(axis, uncertainty=None)  # that of the machines counts, not that of the controller's model
+    plan, notes = planned(axis, machine=machine)
+    assert {one.text.partition("=")[2] for one in plan.varied} == {"lognormal:2%"}
+    assert not notes
 
 
 def test_one_direction_given_leaves_the_other_as_it_was_identified():
