@@ -26,7 +26,7 @@ from diffdrive.numerics.pipeline import require_shorter
 from diffdrive.support.bounds import require_count, require_number
 from diffdrive.support.messages import short_repr
 from tuning.gains.scenarios import Scenario
-from tuning.gains.uncertain_machine import with_uncertain
+from tuning.gains.uncertain_machine import uncertain_values
 
 OFF_GRID_FACTOR = 1.0137  # at a whole number of quanta a period a quantised loop locks on its grid
 HELD_OUT_SPEEDS = (0.7, 2.0)  # times the speed tuned at
@@ -124,11 +124,11 @@ def machines(drive: Drive, count: int, spread: float, seed: int, uncertainty: Un
 
     Those that the `uncertainty` names are off by that instead.
     """
-    drawn = []
-    for k in range(1, count):
-        rng = np.random.default_rng((seed, k))
-        machine = perturbed(drive, spread, rng)
-        drawn.append(machine if uncertainty is None else with_uncertain(machine, drive, uncertainty, rng))
+    generators = [np.random.default_rng((seed, k)) for k in range(1, count)]
+    drawn = [perturbed(drive, spread, rng) for rng in generators]
+    if uncertainty is not None:
+        uncertain = uncertain_values(drive, uncertainty, generators)
+        drawn = [with_nodes(machine, values) for machine, values in zip(drawn, uncertain, strict=True)]
     return [drive, *(jax.tree.map(float, machine) for machine in drawn)]
 
 

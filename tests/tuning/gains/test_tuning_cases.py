@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from diffdrive.axis_file.drive_file import read_axis
+from diffdrive.model.quantity import node_at
 from diffdrive.model.uncertainty import Deviation, Uncertainty
 from experiments.reports.report import Report
 from experiments.studies.demo import PAPER_DRIVE
@@ -26,13 +27,15 @@ from tuning.gains.plan import (
     TuningPlan,
     held_out_scenarios,
     machines,
+    perturbed,
     reversal,
     training_scenarios,
 )
-from tuning.gains.requirements import operating_points
+from tuning.gains.requirements import Requirements, operating_points
 from tuning.gains.sequential import FEASIBILITY_TOLERANCE
 from tuning.gains.setup import set_up
 from tuning.gains.tune import default_space
+from tuning.gains.uncertain_machine import uncertain_values
 
 PLAN = TuningPlan(loads=(0.0, 12_600.0))
 
@@ -97,21 +100,34 @@ KNOWN = Uncertainty.of(
 )
 
 
-def test_machines_of_a_drive_that_is_known_are_drawn_by_what_is_known(description):
-    drawn = machines(description.drive, 401, 0.03, 1, KNOWN)
-    assert drawn[0] == description.drive
-    mass = np.log([one.plant.mass / drawn[0].plant.mass for one in drawn[1:]])
-    force = np.array([one.plant.constant_force for one in drawn[1:]])
-    viscous = np.log([one.friction.viscous.positive / drawn[0].friction.viscous.positive for one in drawn[1:]])
-    # a standard deviation of 400 is within 4 / sqrt(2 * 400) of the true one, 14 %
-    assert [np.std(mass), np.std(force), np.std(viscous)] == pytest.approx([0.01, 2.0, 0.2], rel=0.14)
-    assert np.corrcoef(mass, force)[0, 1] == pytest.approx(-0.8, abs=4.0 * (1.0 - 0.8**2) / np.sqrt(400.0))
-    assert abs(np.corrcoef(mass, viscous)[0, 1]) < 4.0 / np.sqrt(400.0)
+def test_what_is_known_is_drawn_with_its_deviations_and_correlations(description):
+    count = 2000
+    drawn = uncertain_values(description.drive, KNOWN, [np.random.default_rng((1, k)) for k in range(count)])
+    mass, force, viscous = (np.array([one[name] for one in drawn]) for name in KNOWN.names)
+    mass, viscous = np.log(mass / description.value("plant.mass")), np.log(viscous / viscous_of(description))
+    # four standard errors of each
+    assert [np.std(mass), np.std(force), np.std(viscous)] == pytest.approx(
+        [0.01, 2.0, 0.2], rel=4.0 / np.sqrt(2 * count)
+    )
+    assert [np.mean(mass) / 0.01, np.mean(force) / 2.0, np.mean(viscous) / 0.2] == pytest.approx(
+        [0.0, description.value("plant.constant_force"), 0.0], abs=4.0 / np.sqrt(count)
+    )
+    assert np.corrcoef(mass, force)[0, 1] == pytest.approx(-0.8, abs=4.0 * (1.0 - 0.8**2) / np.sqrt(count))
+    assert abs(np.corrcoef(mass, viscous)[0, 1]) < 4.0 / np.sqrt(count)
+
+
+def viscous_of(axis):
+    return axis.drive.friction.viscous.positive
 
 
 def test_what_is_not_known_keeps_the_spread_and_its_draws(description):
     known, spread = (machines(description.drive, 3, 0.03, 1, uncertainty) for uncertainty in (KNOWN, None))
-    for one, other in zip(known[1:], spread[1:], strict=True):
+    assert known[0] == description.drive
+    for k, (one, other) in enumerate(zip(known[1:], spread[1:], strict=True), 1):
+        rng = np.random.default_rng((1, k))
+        perturbed(description.drive, 0.03, rng)
+        (drawn,) = uncertain_values(description.drive, KNOWN, [rng])  # whatever the number of machines
+        assert {name: node_at(one, name) for name in KNOWN.names} == drawn
         assert one.plant.mass != other.plant.mass
         assert one.friction.viscous.positive != other.friction.viscous.positive
         assert one.friction.viscous.negative == other.friction.viscous.negative
@@ -125,10 +141,8 @@ def test_the_plan_draws_by_what_is_known_and_says_so(description):
     drives = [one.drive for one in on + off if "machine" in one.name]
     expected = [machines(description.drive, 2, plan.spread, seed, KNOWN)[1] for seed in (0, HELD_OUT_SEED)]
     assert drives == expected
-    assert (
-        "(plant.mass, plant.constant_force, friction.viscous.positive), and by 3 %"
-        in set_up(description, plan).notes[-1]
-    )
+    prepared = set_up(description, plan, Requirements(command_noise=None, load_error=None))  # runs nothing
+    assert f"({', '.join(KNOWN.names)}), and by 3 %" in prepared.notes[-1]
 
 
 def test_a_reversal_turns_once_and_cruises_at_its_speed():
