@@ -39,7 +39,8 @@ def sweep(
     identified: Annotated[
         Path | None,
         typer.Option(
-            help="uncertainty.toml of `diffdrive identify`: what it identified varies within its uncertainty."
+            help="uncertainty.toml of `diffdrive identify`: what it identified varies within its uncertainty; by default "
+            "what [uncertainty] of the drive file says."
         ),
     ] = None,
     motion: Annotated[

@@ -24,7 +24,7 @@ from experiments.studies.emps import axis as emps
 from tests.support.identify_command import MOTION, QUESTION, TRUE, run
 from tests.support.sound_log import simulate_log
 from tuning.identification.identify import COARSE_STEPS
-from tuning.sweeps.identified import read_uncertainty
+from tuning.sweeps.identified import about_identified, read_uncertainty
 from tuning.sweeps.machines import machines
 from tuning.sweeps.samples import correlate, correlation_root, unit_samples
 from tuning.sweeps.varied import parse_varied
@@ -215,6 +215,7 @@ def test_what_it_left_open_is_what_a_sweep_varies(identified):
     _, out, written = identified
     axis = read_axis(out / "identified.toml")
     vary, together = read_uncertainty(out / "uncertainty.toml")
+    assert about_identified(axis) == (vary, together)  # the drive file says the same
     found = estimates(written)
     known = ("fitted", "only in a sum")
     fitted = {name for name, row in found.items() if row["status"] in known} - {"delay"}
