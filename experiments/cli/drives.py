@@ -123,8 +123,8 @@ def tune(
     spread: Annotated[
         str | None,
         typer.Option(
-            help="Relative deviation of the other machines' parameters, as 3% or 0.03; at most 50%. By default the "
-            "drive file's [uncertainty], and 3% of what that does not name."
+            help="Relative deviation of the other machines' parameters, as 3% or 0.03; at most 50%. By default as "
+            "the drive file's table uncertainty says, and 3% of what that does not name."
         ),
     ] = None,
     gain_margin: Annotated[

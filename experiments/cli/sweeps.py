@@ -39,8 +39,8 @@ def sweep(
     identified: Annotated[
         Path | None,
         typer.Option(
-            help="uncertainty.toml of `diffdrive identify`: what it identified varies within its uncertainty; by default "
-            "what [uncertainty] of the drive file says."
+            help="uncertainty.toml of `diffdrive identify`: what it identified varies within its uncertainty. By "
+            "default what the drive file's table uncertainty names."
         ),
     ] = None,
     motion: Annotated[
