@@ -46,7 +46,7 @@ def parse_uncertainty(section: TomlSection, drive: Drive) -> Uncertainty | None:
 
 def _units(drive: Drive) -> dict[str, str]:
     """The units of what may be uncertain, by path: every parameter of plant and friction that the drive has."""
-    units = {}
+    units: dict[str, str] = {}
     for name, declared, value in quantities(drive):
         if name.startswith(PARTS) and value is not None:
             sides = SIDES if declared.directional else ()
