@@ -15,7 +15,7 @@ settings.register_profile("compiled", deadline=None)
 settings.load_profile("compiled")
 
 
-MORE_MEMORY = 1.5e9  # bytes, by which a process may grow until it forgets
+MORE_MEMORY = 1e9  # bytes, by which a process may grow until it forgets
 
 
 @pytest.fixture(scope="session")

@@ -136,7 +136,13 @@ def by_differences(name):
     return slopes[steadiest + 1, np.arange(len(values))]
 
 
-@pytest.mark.parametrize("name", [pytest.param(one, marks=[pytest.mark.slow] * (one in PARTS)) for one in CONTROLLERS])
+def _marks(name):
+    """One controller of each kind is quick enough for every run: the cascade, and a PD at its limit."""
+    quick = ("cascade", "PD at its force limit")
+    return [pytest.mark.slow] if name in PARTS else [] if name in quick else [pytest.mark.long]
+
+
+@pytest.mark.parametrize("name", [pytest.param(one, marks=_marks(one)) for one in CONTROLLERS])
 def test_derivatives_by_every_parameter(name):
     _, values = smooth_loop(name)
     assert np.all(values > 0)

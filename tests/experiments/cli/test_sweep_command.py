@@ -65,6 +65,7 @@ def test_a_sweep_in_single_precision_is_another_sweep_and_replays_to_the_bit(dri
     assert "half" in str(run(*arguments, "--precision", "half").exception)
 
 
+@pytest.mark.long
 def test_it_says_how_often_the_axis_misses_and_why(swept):
     result, out, written = swept
     assert result.exit_code == 0, result.output
@@ -86,6 +87,7 @@ def test_it_says_how_often_the_axis_misses_and_why(swept):
     assert 0.0 <= least < 500.0 < 4500.0 < middle < 5500.0 < 9500.0 < most <= 10_000.0
 
 
+@pytest.mark.long
 def test_the_worst_machines_are_recorded(swept):
     _, out, written = swept
     found = xr.load_dataset(out / "traces.nc", engine="h5netcdf")
@@ -105,6 +107,7 @@ def test_the_worst_machines_are_recorded(swept):
     assert np.isnan(found.load_estimate.sel(controller="plain")).all()
 
 
+@pytest.mark.long
 def test_a_machine_runs_again_to_the_last_bit_and_as_a_drive_file(swept, tmp_path):
     _, out, _ = swept
     result = run("replay", out, "--machine", 77, "--controller", "plain", "--out", tmp_path)
@@ -124,6 +127,7 @@ def test_a_machine_runs_again_to_the_last_bit_and_as_a_drive_file(swept, tmp_pat
     assert run("replay", tmp_path, "--machine", 1).exit_code != 0
 
 
+@pytest.mark.long
 def test_a_second_run_computes_nothing_and_another_sweep_is_refused(swept, drives):
     _, out, before = swept
     same = (

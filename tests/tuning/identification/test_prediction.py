@@ -279,6 +279,7 @@ def test_the_log_of_the_derivatives_visits_rest_stick_sliding_and_reversals():
     assert np.ptp(np.sign(velocity[(np.abs(velocity) > 2e-5) & (np.abs(velocity) < 2e-4)])) == 2.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", PATHS)
 def test_the_jacobian_is_the_central_difference(path):
     """At the step that suits it best of three: a switch of direction that moves past a substep is a kink."""
