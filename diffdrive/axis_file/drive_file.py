@@ -73,7 +73,7 @@ def _limits(section: TomlSection) -> Limits:
             raise section.fail(
                 "stroke", f"give both ends a unit, or neither where they are in m, got {short_repr(stroke)}"
             )
-        ends = (section._number("stroke", stroke[0], "m"), section._number("stroke", stroke[1], "m"))
+        ends = (section.number_from("stroke", stroke[0], "m"), section.number_from("stroke", stroke[1], "m"))
         if not ends[0] < ends[1]:
             raise section.fail("stroke", f"the lowest position must be below the highest, got {short_repr(stroke)}")
     limits = {key: section.number(key, unit, np.inf) for key, unit in (("speed", "m/s"), ("acceleration", "m/s^2"))}

@@ -61,9 +61,10 @@ class TomlSection:
 
     def number(self, key: str, unit: str, default: object = dataclasses.MISSING) -> float:
         """A number in SI, converted from a string with a unit where one is given."""
-        return self._number(key, self.take(key, default), unit)
+        return self.number_from(key, self.take(key, default), unit)
 
-    def _number(self, key: str, value: object, unit: str) -> float:
+    def number_from(self, key: str, value: object, unit: str) -> float:
+        """The number that a value of `key` is, in SI; raises `DriveFileError` for what is none."""
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             own = axis_unit(unit, self.sheet)
             or_text = "" if unit == "1" else f', or a string such as "1.5 {own}"'
@@ -96,8 +97,8 @@ class TomlSection:
                 raise self.fail(key, f"must be one number{unit}, got {short_repr(value)}")
             if len(value) != 2:
                 raise self.fail(key, f"needs two values, [positive, negative], got {short_repr(value)}")
-            return Directional(*(self._number(key, side, declared.unit) for side in value))
-        return self._number(key, value, declared.unit)
+            return Directional(*(self.number_from(key, side, declared.unit) for side in value))
+        return self.number_from(key, value, declared.unit)
 
     def build(self, cls: type[Parameters], **values: object) -> Parameters:
         """An instance of a parameter class from the keys of this section, beside `values`."""

@@ -62,7 +62,7 @@ def _deviation(section: TomlSection, name: str, units: dict[str, str], drive: Dr
     if name not in units:
         raise section.fail(name, f"is no parameter of [plant] or [friction]; {suggestion(name, units)}")
     unit, is_relative = units[name], isinstance(given, str) and given.strip().endswith("%")
-    value = _share(section, name, str(given)) if is_relative else section._number(name, given, unit)
+    value = _share(section, name, str(given)) if is_relative else section.number_from(name, given, unit)
     if not 0.0 < value < math.inf:
         raise section.fail(name, f"must be above zero and finite, got {short_repr(given)}; leave out what is known")
     if is_relative and value > MAX_LOG_DEVIATION:
