@@ -8,7 +8,6 @@ which the C handler writes at once, and ends the process where the main thread d
 import _thread
 import contextlib
 import itertools
-import math
 import os
 import select
 import signal
@@ -40,7 +39,7 @@ class SignalWatch:
 
     def __init__(self, out: Path | None = None) -> None:
         """`out` is the folder that the command writes to, for its last words."""
-        self.out, self.began = out, time.time()
+        self.out, self.before = out, file_stamps(out)
         self.resent = 0  # signals that were raised again here, and are still on their way
         self.raised = False
         self.received_at: float | None = None  # the first signal, as `time.monotonic` has it
@@ -111,7 +110,7 @@ class SignalWatch:
         def last_words() -> None:
             if os.isatty(1):
                 os.write(1, SHOW_CURSOR)  # which a progress bar hides
-            os.write(2, f"\ninterrupted, {how}; {describe_folder(self.out, self.began)}\n".encode())
+            os.write(2, f"\ninterrupted, {how}; {describe_folder(self.out, self.before)}\n".encode())
 
         for step in (end_children, close_all, sys.stdout.flush, sys.stderr.flush, last_words):
             _within(LAST_WORDS, step)
@@ -139,8 +138,20 @@ def out_folder(arguments: Sequence[str]) -> Path | None:
     return None
 
 
-def describe_folder(out: Path | None, since: float) -> str:
-    """What a folder holds that was written after `since` (s, as `time.time` has it), and what can be continued from.
+Stamp = tuple[int, ...]  # of a file: what changes where it is written
+GONE: Stamp = ()
+
+
+def file_stamps(out: Path | None) -> dict[Path, Stamp]:
+    """What a folder holds now, to tell later what was written since.
+
+    Not by the clock: a file's time is that of the system's last tick, which may lie before a start read just now.
+    """
+    return {path: _stamp(path) for one in _visible(out) for path in _files_in(one)}
+
+
+def describe_folder(out: Path | None, before: dict[Path, Stamp]) -> str:
+    """What a folder holds that was written since `file_stamps` gave `before`, and what can be continued from.
 
     Unfinished files are hidden, and no part of it.
     """
@@ -148,7 +159,7 @@ def describe_folder(out: Path | None, since: float) -> str:
     for one in _visible(out):
         if one.name in CONTINUED:
             continued.append(one.name)
-        count = sum(_time(path) >= since for path in _files_in(one))
+        count = sum(_stamp(path) not in (GONE, before.get(path)) for path in _files_in(one))
         if one.is_dir() and count:
             written.append(f"{one.name} ({count} files)" if count > 1 else f"{one.name} (1 file)")
         elif count:
@@ -169,11 +180,11 @@ def _files_in(place: Path) -> list[Path]:
     return [Path(here) / name for here, _, names in os.walk(place) for name in names if not name.startswith(".")]
 
 
-def _time(path: Path) -> float:
-    """When it was written (s); never, where it is gone meanwhile."""
+def _stamp(path: Path) -> Stamp:
     with contextlib.suppress(OSError):
-        return path.stat().st_mtime
-    return -math.inf
+        now = path.stat()
+        return now.st_ino, now.st_size, now.st_mtime_ns
+    return GONE
 
 
 def _within(seconds: float, step: Callable[[], object]) -> None:

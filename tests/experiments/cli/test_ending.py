@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.cli.ending import describe_folder, out_folder
+from experiments.cli.ending import describe_folder, file_stamps, out_folder
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 
@@ -115,15 +115,21 @@ except KeyboardInterrupt: time.sleep(1.5); print("written")
 
 
 def test_what_is_left_is_of_this_run(tmp_path):
+    """Whatever the clock says: one file is written in the very tick of the start, one a century later, one replaced."""
     (tmp_path / "parts").mkdir()
-    for name in ("old.csv", "parts/old", "new.csv", "parts/new", "parts/.half"):
-        (tmp_path / name).touch()
-    for name in ("old.csv", "parts/old"):
-        os.utime(tmp_path / name, (1.0, 1.0))
-    assert describe_folder(tmp_path, 10.0) == (
-        f"{tmp_path} holds, of this run: new.csv, parts (1 file); the same command continues from parts"
+    for name in ("old.csv", "replaced.csv", "parts/old"):
+        (tmp_path / name).write_text("1")
+    os.utime(tmp_path / "old.csv", (4e9, 4e9))
+    before = file_stamps(tmp_path)
+    for name in ("new.csv", "parts/new", "parts/.half", ".half.csv"):
+        (tmp_path / name).write_text("1")
+    (tmp_path / ".half.csv").replace(tmp_path / "replaced.csv")
+    os.utime(tmp_path / "new.csv", (1.0, 1.0))
+    assert describe_folder(tmp_path, before) == (
+        f"{tmp_path} holds, of this run: new.csv, parts (1 file), replaced.csv; the same command continues from parts"
     )
-    assert describe_folder(tmp_path / "none", 10.0) == describe_folder(None, 10.0) == "it had written nothing"
+    assert describe_folder(tmp_path / "none", {}) == describe_folder(None, {}) == "it had written nothing"
+    assert file_stamps(tmp_path / "none") == file_stamps(None) == {}
 
 
 @pytest.mark.parametrize("words", [["tune", "a.toml", "--out", "b"], ["tune", "--out=b", "a.toml"]])
