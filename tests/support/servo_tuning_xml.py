@@ -16,7 +16,8 @@ def _digits(word):
 
 
 def array(name, kind, values):
-    lines = "\n".join(base85(values)[k : k + 80] for k in range(0, len(base85(values)), 80))
+    text = base85(values)
+    lines = "\n".join(text[k : k + 80] for k in range(0, len(text), 80))
     return (
         f'<NumericArray satclassid="4" elementtype="{kind}" format="base85" name="{name}">\n'
         f'<unsigned_int name="m_length">{len(values)}</unsigned_int>\n'

@@ -174,12 +174,14 @@ def _best_of_family(relation: ControllerRelation, family: list[Hypothesis]) -> I
 def _quick_misfit(relation: ControllerRelation, hypothesis: Hypothesis, output: Signal) -> float:
     """The misfit by plain least squares, without the worst hundredth."""
     logged, replayed = relation.valid_samples(hypothesis.signals.command), relation.valid_samples(output)
-    if np.std(logged) == 0 or np.std(replayed) == 0 or not np.all(np.isfinite(replayed)):
+    logged, replayed = logged - np.mean(logged), replayed - np.mean(replayed)
+    energy, replayed_energy = float(logged @ logged), float(replayed @ replayed)
+    if not (energy > 0 and 0 < replayed_energy < np.inf):
         return np.inf
-    slope = float(np.cov(logged, replayed)[0, 1] / np.var(replayed))
-    residual = np.abs(logged - logged.mean() - slope * (replayed - replayed.mean()))
-    bulk = np.partition(residual, int(0.99 * len(residual)) - 1)[: int(0.99 * len(residual))]
-    return float(np.sqrt(np.mean(bulk**2))) / float(np.std(logged))
+    residual = np.abs(logged - float(logged @ replayed) / replayed_energy * replayed)
+    kept = int(0.99 * len(residual))
+    bulk = np.partition(residual, kept - 1)[:kept]
+    return float(np.sqrt(bulk @ bulk / kept / (energy / len(logged))))
 
 
 def _fit_shifts(relation: ControllerRelation) -> Iterator[tuple[Hypothesis, RobustFit]]:

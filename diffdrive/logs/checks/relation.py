@@ -52,7 +52,7 @@ class ControllerRelation:
     piece: slice
     after_transient: bool = False
 
-    @property
+    @cached_property
     def logged(self) -> ControllerSignals:
         """The stretch as it was logged."""
         log, piece = self.log, self.piece
@@ -69,6 +69,11 @@ class ControllerRelation:
         """The controller and the drive as arrays."""
         return controller_arrays(self.axis)
 
+    @cached_property
+    def first_speed(self) -> float:
+        """Speed (m/s) at the first sample of the stretch."""
+        return speed_at(self.log, self.piece.start)
+
     @property
     def disturbance(self) -> Signal | None:
         """The known disturbance of the stretch, where there is one."""
@@ -81,7 +86,7 @@ class ControllerRelation:
         The controller runs at its own rate: signals at a slower one are interpolated between their samples.
         """
         upsampling = max(1, round(cases[0].period * self.axis.sampling.rate))
-        speed = speed_at(self.log, self.piece.start) / upsampling
+        speed = self.first_speed / upsampling
         commands: list[Signal] = []
         for first in range(0, len(cases), LANES):
             batch = list(cases[first : first + LANES])

@@ -35,28 +35,30 @@ def robust_fit(columns: list[Signal], y: Signal) -> RobustFit:
     std = float(np.std(y))
     tiny = np.finfo(float).tiny
     scales = np.array([max(float(np.sqrt(np.mean(column**2))), tiny) for column in columns] + [1.0])
-    regressors = np.empty((len(y), len(scales)))
+    regressors = np.ones((len(scales), len(y)))  # a row each: sums over samples run along the memory
     for k, column in enumerate(columns):
-        np.divide(column, scales[k], out=regressors[:, k])
-    regressors[:, -1] = 1.0
+        np.divide(column, scales[k], out=regressors[k])
     solution = np.zeros(len(scales))
     # of a long log every so-manieth sample decides: it holds more of them than any estimate needs
-    subset, target = regressors[:: 1 + len(y) // _MOST_SAMPLES], y[:: 1 + len(y) // _MOST_SAMPLES]
+    stride = 1 + len(y) // _MOST_SAMPLES
+    subset, target = np.ascontiguousarray(regressors[:, ::stride]), y[::stride]
     residual = target.astype(float)
     weights = np.ones_like(residual)
     for _ in range(_MOST_ITERATIONS):
         # a correction by the normal equations: each round refines the last one, so that their rounding does not stay
-        weighted = subset * weights[:, None]
-        step = np.linalg.lstsq(weighted.T @ subset, weighted.T @ residual, rcond=None)[0]
+        weighted = subset * weights
+        step = np.linalg.lstsq(weighted @ subset.T, weighted @ residual, rcond=None)[0]
         solution = solution + step
-        residual = target - subset @ solution
+        residual = target - solution @ subset
         if float(np.max(np.abs(step))) < 1e-9 * std:
             break
-        residual_std = max(SIGMA_PER_MAD * float(np.median(np.abs(residual))), 1e-9 * std, tiny)
-        weights = 1.0 / np.maximum(np.abs(residual) / residual_std, 1.0)
-    residual = y - regressors @ solution
-    kept = np.partition(np.abs(residual), max(0, int(0.99 * len(residual)) - 1))[: max(1, int(0.99 * len(residual)))]
-    return RobustFit(solution / scales, float(np.sqrt(np.mean(kept**2))) / max(std, tiny), residual)
+        size = np.abs(residual)
+        residual_std = max(SIGMA_PER_MAD * float(np.median(size)), 1e-9 * std, tiny)
+        weights = residual_std / np.maximum(size, residual_std)
+    residual = y - solution @ regressors
+    kept = max(1, int(0.99 * len(residual)))
+    bulk = np.partition(np.abs(residual), kept - 1)[:kept]
+    return RobustFit(solution / scales, float(np.sqrt(bulk @ bulk / kept)) / max(std, tiny), residual)
 
 
 def percent(share: float) -> str:
