@@ -27,9 +27,11 @@ def forgotten():
 @pytest.fixture(autouse=True, scope="module")
 def bounded_memory(forgotten):
     """No process keeps the programs of all files that it has run: they are on the disk, too, and soon read again."""
+    gc.freeze()  # whoever collects (asammdf with each file, pytest at its end) looks at this file's objects alone
     yield
     if psutil.Process().memory_info().rss > forgotten["at"] + MORE_MEMORY:
         jax.clear_caches()
+        gc.unfreeze()
         gc.collect()
         forgotten["at"] = psutil.Process().memory_info().rss
 

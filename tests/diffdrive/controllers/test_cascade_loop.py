@@ -124,6 +124,7 @@ def test_margins_and_response_with_filters_are_those_of_python_control(actuator)
     assert float(found.peak_sensitivity) == pytest.approx(1.0 / np.min(distance), rel=1e-3)
 
 
+@pytest.mark.long
 def test_a_set_point_s_filter_is_not_in_the_loop():
     drive, sampling = as_arrays(smooth(IDEAL)), Sampling(RATE)
     plain = Cascade(90.0, 3e4, reset_time=0.02)

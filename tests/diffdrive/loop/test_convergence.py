@@ -36,6 +36,9 @@ NOTES = np.array([
 ])  # fmt: skip
 
 
+SPEEDS = (1e-4, 0.01, -0.1)  # m/s
+
+
 def observer_of(drive, tuning=TUNINGS[0], **estimator):
     return KalmanObserver(drive.plant, drive.friction, tuning, InnovationLoad(**estimator))
 
@@ -97,19 +100,34 @@ def test_load_error_decays_with_the_time_constant(drive, speed):
     assert abs(fitted / expected - 1) < 0.05
 
 
-@pytest.mark.parametrize("tuning", TUNINGS)
-@pytest.mark.parametrize("speed", [1e-4, 0.01, -0.1])
-def test_steady_covariance_is_where_the_filter_settles(drive, tuning, speed):
-    bristle = lugre_coefficients(drive.friction, speed, speed, 0.0)
-    ad, _ = state_matrices(drive.plant, bristle, speed, PERIOD)
-    ad, process = np.array([[float(entry) for entry in row] for row in ad]), np.array(tuning.process)
+def _at(drive, tuning, speed):
+    """The transition at a speed and the process noise of a tuning."""
+    ad, _ = state_matrices(drive.plant, lugre_coefficients(drive.friction, speed, speed, 0.0), speed, PERIOD)
+    return np.array([[float(entry) for entry in row] for row in ad]), np.array(tuning.process)
+
+
+@pytest.fixture(scope="module")
+def settled(drive):
+    """Covariances after 20 000 samples, by speed and tuning: the recursion step by step, all of them side by side."""
+    cases = [(speed, k) for speed in SPEEDS for k in range(len(TUNINGS))]
+    ad = np.stack([_at(drive, TUNINGS[k], speed)[0] for speed, k in cases])
+    added = np.stack([np.diag(TUNINGS[k].process) for _, k in cases])
+    r = np.array([TUNINGS[k].measurement for _, k in cases])[:, None, None]
+    omega = added
+    for _ in range(20_000):
+        k = omega[:, :, :1] / (omega[:, :1, :1] + r)
+        left = np.eye(3) - k @ np.eye(3)[:1]
+        omega = ad @ (left @ omega @ left.mT + r * k @ k.mT) @ ad.mT + added
+    return dict(zip(cases, omega, strict=True))
+
+
+@pytest.mark.parametrize("case", range(len(TUNINGS)))
+@pytest.mark.parametrize("speed", SPEEDS)
+def test_steady_covariance_is_where_the_filter_settles(drive, settled, case, speed):
+    tuning, omega = TUNINGS[case], settled[speed, case]
+    ad, process = _at(drive, tuning, speed)
     found = np.asarray(jax.jit(steady_covariance)(jnp.asarray(ad), jnp.asarray(process), tuning.measurement))
     r = tuning.measurement
-    omega = np.diag(process)
-    for _ in range(20_000):
-        k = omega[:, :1] / (omega[0, 0] + r)
-        left = np.eye(3) - k @ np.eye(3)[:1]
-        omega = ad @ (left @ omega @ left.T + r * k @ k.T) @ ad.T + np.diag(process)
     size = np.sqrt(np.diag(omega))
     np.testing.assert_allclose(found / np.outer(size, size), omega / np.outer(size, size), atol=1e-8)
     scaled = ad * size / size[:, None]

@@ -54,6 +54,7 @@ def test_the_margins_are_what_their_units_say():
     assert "deg at" in repr(found)
 
 
+@pytest.mark.long
 def test_lanes_and_gradients_go_through():
     def phase_margin(kd, velocity):
         return dd.linearise(AXIS.with_gains(kd=kd), velocity=velocity).margins().phase_margin

@@ -141,6 +141,7 @@ def test_frequency_response_is_that_of_python_control(name, delay):
         np.testing.assert_allclose(response(loop, FREQUENCY).loop, expected, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_slope_of_the_response_is_its_derivative():
     loop, step = loop_of("PD+FC+LS", 4), 1e-4
     ahead, behind = (np.asarray(response(loop, FREQUENCY * np.exp(s)).loop) for s in (step, -step))

@@ -116,6 +116,7 @@ def fastest_growth(controller):
     return float(np.max(np.log(np.abs(control.feedback(loop, 1).poles())))) / PERIOD
 
 
+@pytest.mark.long
 def test_a_hidden_resonance_that_turns_about_minus_one_makes_the_loop_unstable():
     weak, strong = (dataclasses.replace(CONTROLLER, kp=30.0, kv=kv) for kv in (5e3, 6e4))
     assert fastest_growth(weak) < 0.0 < fastest_growth(strong)

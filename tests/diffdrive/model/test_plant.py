@@ -188,6 +188,7 @@ def test_energy_never_grows_without_force(drive, mass, stiffness, step, velocity
     assert_energy_does_not_grow(drive, mass, stiffness, step, velocity, bent, 1)
 
 
+@pytest.mark.long
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(mass=decades(10.0, 1e4), **FREE_MOTION)
 def test_energy_never_grows_over_several_substeps(drive, mass, stiffness, step, velocity, bent):

@@ -152,6 +152,7 @@ def test_the_results_of_another_command_are_not_overwritten(drives, tmp_path):
     assert (tmp_path / "result.json").read_text() == "{}"
 
 
+@pytest.mark.long
 def test_what_no_quantity_drives_is_said(drives, tmp_path):
     """The load comes when the motion is over: nothing but noise is left."""
     late = (
@@ -261,6 +262,7 @@ def test_what_cannot_be_is_refused_at_once(drives, tmp_path, monkeypatch, more, 
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.long
 def test_two_files_of_one_name_are_not_told_apart(drives, tmp_path):
     (tmp_path / "axis.toml").write_text((drives / "axis.toml").read_text())
     result = run("sweep", drives / "axis.toml", "--against", tmp_path / "axis.toml", "--motion", MOTION)

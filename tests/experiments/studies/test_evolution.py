@@ -80,6 +80,7 @@ def test_costs_are_those_of_the_gradient_search():
     np.testing.assert_allclose(norm_costs(residuals, space, jnp.asarray(0.3), 2)(shares), expected)
 
 
+@pytest.mark.long
 def test_the_two_stage_route_finds_the_sliding_friction_of_a_drive_that_cruises():
     case = synthetic_case()
     found = two_stage([case.log], emps.reference_drive())

@@ -75,6 +75,7 @@ def test_a_base_that_swings_with_little_damping_is_screened_between_the_points_o
     assert found.gain > 1.5 * coarse.gain
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["constant_force", "cogging", "friction_shape", "lead_error"])
 def test_differences_of_the_filter_are_its_answers_where_it_has_some(sound, monkeypatch, name):
     fitter, base = sound

@@ -67,6 +67,7 @@ def test_a_screw_does_not_carry_what_something_else_pushes(beside):
     assert found == pytest.approx((0.6 * friction - beside) / stiffness, rel=0.03)
 
 
+@pytest.mark.long
 def test_an_error_of_the_scale_is_seen_the_other_way_round():
     *given, _ = sliding()
     effect = LeadError(lead=5e-3, cosine=2e-6)

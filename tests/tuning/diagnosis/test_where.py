@@ -167,6 +167,7 @@ def test_at_one_speed_a_ripple_cannot_be_told_from_a_vibration(truth):
     assert "locked" not in told[0].says
 
 
+@pytest.mark.long
 def test_periods_are_told_per_turn_where_the_lead_is_known():
     time = np.arange(16_000) / RATE
     position = 0.02 * np.sin(3.0 * time) + 0.003 * np.sin(11.0 * time)

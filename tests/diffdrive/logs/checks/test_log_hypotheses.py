@@ -171,6 +171,7 @@ def test_what_single_channels_show_of_exchanged_columns_is_not_said_beside(remem
     assert [one.cause for one in complaints(examine(exchanged, drive))] == ["swapped"]
 
 
+@pytest.mark.long
 def test_a_cascade_with_a_velocity_over_four_samples_is_another_controller():
     drive = OTHERS["cascade"]
     other = dataclasses.replace(drive, controller=dataclasses.replace(drive.controller, velocity_samples=4))

@@ -74,6 +74,7 @@ def test_a_load_that_the_controller_learnt_before_the_log_passes(fast, start):
     assert complaints(examine(cut(fast, start), TEMPLATE)) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "more"), [("pd+ff+dob", {"cutoff": 100.0}), ("pd+fc+ls", {})])
 def test_a_log_that_begins_in_a_dwell_between_two_strokes_passes(kind, more):
     """The table rests, but its bristles are bent and the observer knows by how much."""
@@ -135,6 +136,7 @@ def test_true_traps_are_found_all_the_same(sine, name, start):
     assert matching(findings, severity, "command", text), "\n".join(map(str, findings))
 
 
+@pytest.mark.long
 def test_a_shift_and_pulses_may_come_together_in_a_long_log():
     """The shift is looked for in a window of the log, the pulses in what that window shows."""
     drive = axis_of(noise=3e-7)
@@ -153,6 +155,7 @@ def test_a_log_whose_past_is_unknown_is_judged_by_its_later_half(sine):
     assert matching(examine(cut(sine, 5000), TEMPLATE), "note", "position", "begins in motion")
 
 
+@pytest.mark.long
 def test_the_worst_of_a_past_is_no_shift_of_a_smooth_log():
     """Without noise and counts, a remembered load moves the command as a part of a sample would."""
     drive = axis_of("pd+fc+le", rate=RATE, kp=7.98e6, kd=15_960.0, noise=0.0, resolution=None)

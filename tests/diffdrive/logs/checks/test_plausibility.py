@@ -45,6 +45,7 @@ def test_the_worst_comes_first():
     assert {0, 1} <= set(order)
 
 
+@pytest.mark.long
 def test_units_of_position_and_of_command_are_told_apart_by_coulomb_friction():
     """Both leave the same factor between command and controller; without stroke and counts only friction tells."""
     loose = dataclasses.replace(DRIVE, limits=motion.Limits(), drive=axis_of(resolution=None).drive)
@@ -180,6 +181,7 @@ def test_sound_logs_of_every_controller_pass(kind, more):
     assert matching(volts, "fatal", "command", r"multiply the command by 1(59|60)(\.\d+)? N per unit"), volts
 
 
+@pytest.mark.long
 def test_lengths_in_another_unit_are_told_beside_a_controller_that_is_not_linear():
     """A saturating one: its command for the log in metres is not that for millimetres over a thousand."""
     drive = axis_of("dobvsc", cutoff=100.0)
