@@ -78,8 +78,7 @@ def convergence_gain(observer: KalmanObserver, velocity: Scalar, period: float, 
         return updated, change
 
     settled = jnp.stack([jnp.zeros_like(level), velocity + jnp.zeros_like(level), deflection])
-    by_state, change_by_state = jax.jacfwd(one_step)(settled, 0.0)
-    by_error, change_by_error = jax.jacfwd(one_step, argnums=1)(settled, 0.0)
+    (by_state, by_error), (change_by_state, change_by_error) = jax.jacfwd(one_step, argnums=(0, 1))(settled, 0.0)
     shift = jnp.linalg.solve(jnp.eye(3) - by_state, by_error)
     return jnp.sign(velocity) * (change_by_state @ shift + change_by_error)
 

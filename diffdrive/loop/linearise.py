@@ -98,8 +98,7 @@ def open_loop(drive: Drive, controller: Controller, sampling: Sampling, point: O
         ahead, outputs = step(vector, inputs._replace(force=force))
         return ahead, outputs.requested
 
-    a, c = jax.jacfwd(requested)(vector, inputs.force)
-    b, _ = jax.jacfwd(requested, argnums=1)(vector, inputs.force)
+    (a, b), (c, _) = jax.jacfwd(requested, argnums=(0, 1))(vector, inputs.force)  # in one pass
     return balanced(a, b, c, sampling.period)
 
 

@@ -175,8 +175,7 @@ def _model_plant(
         ahead, outputs = step(vector, inputs._replace(force=force))
         return ahead, outputs.encoders.at(encoder)
 
-    a, c = jax.jacfwd(reading)(vector, inputs.force)
-    b, _ = jax.jacfwd(reading, argnums=1)(vector, inputs.force)
+    (a, b), (c, _) = jax.jacfwd(reading, argnums=(0, 1))(vector, inputs.force)
     return balanced(a, b, c, sampling.period)
 
 

@@ -36,7 +36,7 @@ NOTES = np.array([
 ])  # fmt: skip
 
 
-SPEEDS = (1e-4, 0.01, -0.1)  # m/s
+SETTLED_AT = (1e-4, 0.01, -0.1)  # m/s
 
 
 def observer_of(drive, tuning=TUNINGS[0], **estimator):
@@ -109,7 +109,7 @@ def _at(drive, tuning, speed):
 @pytest.fixture(scope="module")
 def settled(drive):
     """Covariances after 20 000 samples, by speed and tuning: the recursion step by step, all of them side by side."""
-    cases = [(speed, k) for speed in SPEEDS for k in range(len(TUNINGS))]
+    cases = [(speed, k) for speed in SETTLED_AT for k in range(len(TUNINGS))]
     ad = np.stack([_at(drive, TUNINGS[k], speed)[0] for speed, k in cases])
     added = np.stack([np.diag(TUNINGS[k].process) for _, k in cases])
     r = np.array([TUNINGS[k].measurement for _, k in cases])[:, None, None]
@@ -122,7 +122,7 @@ def settled(drive):
 
 
 @pytest.mark.parametrize("case", range(len(TUNINGS)))
-@pytest.mark.parametrize("speed", SPEEDS)
+@pytest.mark.parametrize("speed", SETTLED_AT)
 def test_steady_covariance_is_where_the_filter_settles(drive, settled, case, speed):
     tuning, omega = TUNINGS[case], settled[speed, case]
     ad, process = _at(drive, tuning, speed)

@@ -22,6 +22,9 @@ from tuning.diagnosis.setting import setting
 PLAY = {"gap": 5e-6, "frequency": 450.0, "damping": 0.08, "motor_share": 0.4, "table_friction": 0.4}
 
 
+pytestmark = pytest.mark.long  # all begin with a recalibrated model: some seconds of tracing
+
+
 @pytest.fixture(scope="module")
 def sound():
     return recalibrated_of()
@@ -36,7 +39,6 @@ def vibrating():
     return fitter, base, fit_from(fitter, base, screen(base, candidate))
 
 
-@pytest.mark.long
 def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_innovations(vibrating):
     fitter, base, fit = vibrating
     values = fit.model.values(fit.u)[0]
@@ -61,7 +63,6 @@ def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_i
         assert np.linalg.norm(slope - jacobian[:, k]) < 0.1 * np.linalg.norm(slope), k
 
 
-@pytest.mark.long
 def test_a_base_that_swings_with_little_damping_is_screened_between_the_points_of_the_grid(sound):
     """A resonance is as narrow as its damping, the grid's steps are a tenth: half way between two, neither shows it."""
     grid = next(one for one in catalogue(*sound) if one.name == "frame_vibration").grid
@@ -75,7 +76,6 @@ def test_a_base_that_swings_with_little_damping_is_screened_between_the_points_o
     assert found.gain > 1.5 * coarse.gain
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["constant_force", "cogging", "friction_shape", "lead_error"])
 def test_differences_of_the_filter_are_its_answers_where_it_has_some(sound, monkeypatch, name):
     fitter, base = sound
@@ -89,7 +89,6 @@ def test_differences_of_the_filter_are_its_answers_where_it_has_some(sound, monk
         assert off < 0.05, parameter.name
 
 
-@pytest.mark.long
 def test_what_acts_beside_an_effect_within_the_filter_is_screened_as_it_is():
     """Presliding by Maxwell elements alone: no linear recursion along the filter's course holds there."""
     truth = PreslidingHysteresis(share=0.95, longest=1e-5, shortest=0.2)
@@ -159,7 +158,6 @@ def test_an_elastic_screw_is_fitted_from_where_a_loose_one_ended_and_not_the_oth
     assert leading.simpler(fitter, base, [], known.values()) == []
 
 
-@pytest.mark.long
 def test_at_the_truth_a_slowly_swinging_base_leaves_nothing_to_invent():
     """Its state outlasts a segment: begun at rest in each, half a second of it would be missing again and again."""
     truth = {"ratio": 0.05, "frequency": 6.0, "damping": 0.02}
@@ -216,7 +214,6 @@ def test_a_fit_without_one_of_its_effects_begins_where_it_ended(sound, monkeypat
         np.testing.assert_allclose(found.model.values(found.u)[0][name], value)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("gains", "searches"), [((0.0,), 1), ((50.0, 0.0), 2), ((50.0, 50.0, 50.0), 3)])
 def test_a_screw_is_searched_for_again_beside_a_tilt_as_long_as_it_helps(sound, monkeypatch, gains, searches):
     fitter, base = sound
@@ -243,7 +240,6 @@ def test_a_screw_is_searched_for_again_beside_a_tilt_as_long_as_it_helps(sound, 
     assert model.values(again.u)[0]["gap"][0] == pytest.approx(1.1**helped * PLAY["gap"])
 
 
-@pytest.mark.long
 def test_a_second_effect_is_begun_from_what_it_was_found_to_be_alone(sound):
     fitter, base = sound
     known = {one.name: one for one in catalogue(fitter, base)}
