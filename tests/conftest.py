@@ -1,4 +1,5 @@
 import gc
+import os
 
 import jax
 import psutil
@@ -15,7 +16,8 @@ settings.register_profile("compiled", deadline=None)
 settings.load_profile("compiled")
 
 
-MORE_MEMORY = 1e9  # bytes, by which a process may grow until it forgets
+# bytes, by which a process may grow until it forgets: all of them together by a sixth of the machine
+MORE_MEMORY = psutil.virtual_memory().total / 6 / int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
 
 
 @pytest.fixture(scope="session")

@@ -89,6 +89,7 @@ def test_a_machine_of_its_own_is_in_the_loop():
     assert np.all(np.abs(ours) < 0.7 * np.abs(own))
 
 
+@pytest.mark.long
 def test_a_force_limit_far_away_leaves_the_loop_of_a_cascade_as_it_is():
     """Without speed feed-forward its steady motion has a following error; without that its integral would saturate."""
     cascade = AXIS.with_controller(Cascade(kp=50.0, kv=2e4, ki=1e6))

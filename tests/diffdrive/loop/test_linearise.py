@@ -250,6 +250,7 @@ def test_covariances_move_little_where_the_model_is_off():
     assert 1e-3 < np.max(share) < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["PD", "PD+FC+LS", "cascade"])
 def test_units_of_the_state_do_not_matter(name):
     loop = loop_of(name, 4)

@@ -146,6 +146,7 @@ def test_a_fault_is_the_effect_of_its_name(faults, effect, most, fault_free):
         assert np.linalg.norm(theirs - ours) < most * np.linalg.norm(theirs)
 
 
+@pytest.mark.long
 def test_the_instant_at_which_a_late_command_arrives_is_not_blurred(monkeypatch):
     """A step across it is off by nanometres, which a diagnosis would take for an effect."""
     plain, found = machine._run.__wrapped__, []

@@ -37,6 +37,9 @@ from tuning.diagnosis.setting import setting
 HIDDEN = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))
 
 
+pytestmark = pytest.mark.long  # all but two begin with a recalibrated model: some seconds of tracing
+
+
 @pytest.fixture(scope="module")
 def sound():
     return recalibrated_of()
@@ -47,7 +50,6 @@ def tilted():
     return recalibrated_of(ConstantForce(6.0))
 
 
-@pytest.mark.long
 def test_a_sound_machine_is_recalibrated_and_nothing_is_missing(sound):
     _, base = sound
     assert np.max(np.abs(base.u)) < 3.0
@@ -82,7 +84,6 @@ def test_the_answers_are_the_derivatives_of_the_innovations(sound):
         assert np.linalg.norm(difference - column) < 0.05 * np.linalg.norm(column), name
 
 
-@pytest.mark.long
 def test_a_tilt_is_found_and_measured(tilted):
     fitter, base = tilted
     found = {one.name: screen(base, one) for one in catalogue(fitter, base) if one.parameters[0].amplitude}
@@ -94,7 +95,6 @@ def test_a_tilt_is_found_and_measured(tilted):
     assert lacking(fitter, fit) < LACKING
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("effect", "name", "key", "value"),
     [
@@ -110,7 +110,6 @@ def test_an_effect_that_is_there_is_fitted(effect, name, key, value):
     assert base.evidence - fit.evidence > WORTH
 
 
-@pytest.mark.long
 def test_what_follows_the_table_is_screened_beside_what_pushes_it(tilted, monkeypatch):
     """A contact that slips under a tilt which nothing holds against never ages."""
     fitter, base = tilted
@@ -136,7 +135,6 @@ def test_screening_points_no_further_than_any_prior_could_mean(sound):
     assert far.max() == pytest.approx(FARTHEST)
 
 
-@pytest.mark.long
 def test_where_screening_points_too_far_a_fit_begins_without_the_effect():
     fitter, base = recalibrated_of(Cogging(0.00125, 2.0, 1.0))
     found = screen(base, next(one for one in catalogue(fitter, base) if one.name == "cogging"))
@@ -146,7 +144,6 @@ def test_where_screening_points_too_far_a_fit_begins_without_the_effect():
     assert fit.model.values(fit.u)[0]["cosine"][0] == pytest.approx(2.0, abs=0.2)
 
 
-@pytest.mark.long
 def test_a_fit_that_stopped_on_its_way_goes_on_before_an_effect_is_credited(sound, tilted):
     fitter, base = sound
     cogging = next(one for one in catalogue(fitter, base) if one.name == "cogging")
@@ -164,7 +161,6 @@ def test_a_fit_that_stopped_on_its_way_goes_on_before_an_effect_is_credited(soun
     assert _further(fitter, base, []) is None
 
 
-@pytest.mark.long
 def test_what_made_up_for_an_effect_makes_way_for_it():
     """A workpiece of 25 kg, taken for a mass far off: the step that screening points to moves both."""
     fitter = fitter_of(PayloadMass(25.0))
@@ -257,7 +253,6 @@ def test_a_machine_has_one_screw(sound):
     assert not known["compliance"].excludes(known["cogging"])
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("delay", [0.15, 0.25])
 def test_a_delay_that_recalibration_made_up_for_is_screened_beside_what_makes_way_for_it(delay):
     fitter = fitter_of(LoopDelay(delay))
@@ -274,7 +269,6 @@ def test_a_delay_that_recalibration_made_up_for_is_screened_beside_what_makes_wa
     assert found.values["delay"][0] == pytest.approx(delay, rel=0.6)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("reached", [6, 20])
 def test_a_limit_is_found_that_few_samples_reach(sound, reached):
     """So few that no force is missed; how many, decides which step of a grid comes near it."""
@@ -291,7 +285,6 @@ def test_a_limit_is_found_that_few_samples_reach(sound, reached):
     assert found.best.model.values(found.best.u)[-1]["limit"][0] == pytest.approx(limit, rel=1e-3)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("astray", [1e-6, 1e-4])
 def test_a_count_that_went_astray_is_no_event_nor_is_a_long_rest(sound, astray):
     """The filter begins again after it, and is off once more."""
@@ -339,7 +332,6 @@ def test_a_filter_under_a_rough_cost_tries_every_small_sudden_force(sound, monke
     assert any(one.shape == sudden.shape and np.allclose(one, sudden) for one in tried_for)
 
 
-@pytest.mark.long
 def test_the_least_process_force_hides_in_the_noise_of_a_fine_scale(sound):
     """A force gain and a machine that is as much lighter are one and the same, as far as that least is nothing: the one
     of a heavy table tells them apart on a light one behind a scale of 10 nm.
@@ -368,7 +360,6 @@ def test_the_least_process_force_hides_in_the_noise_of_a_fine_scale(sound):
     assert sound[0].least == LEAST
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("step", [0.0, 0.2])
 def test_what_recalibration_hid_is_found_however_coarsely_the_command_was_logged(step):
     """It begins far off, in a long valley: after a few steps it is still on its way, and looks worse than nothing."""

@@ -67,6 +67,7 @@ def test_each_machine_has_the_errors_of_its_own_motion_under_its_own_load():
     assert 1e-3 / np.median(told["motion.amplitude"]) == pytest.approx(1e-3 / 1.1e-3, rel=0.05)
 
 
+@pytest.mark.long
 def test_a_machine_has_the_same_bits_whichever_cycles_are_beside_it():
     """Shorter ones, longer ones, another length to which all are filled up."""
     planned = plan()
@@ -109,6 +110,7 @@ def test_a_loop_that_runs_away_after_the_end_of_its_cycle_has_not_diverged():
         )  # fmt: skip
 
 
+@pytest.mark.long
 def test_how_many_are_held_at_once_changes_nothing(monkeypatch):
     planned = plan()
     assert len(planned.numbers(0)) > 64

@@ -100,6 +100,7 @@ def at_rest(plan, wanted, notify):
         yield part, pa.Table.from_pylist(rows)
 
 
+@pytest.mark.long
 def test_a_sweep_says_that_an_estimator_diverges_before_it_runs_and_afterwards(tmp_path):
     began = []
 

@@ -109,6 +109,7 @@ def test_what_was_fitted_is_left_open_relative_to_its_value_or_in_its_unit():
     assert left_open([], np.zeros((0, 0))) is None
 
 
+@pytest.mark.long
 def test_a_result_of_identify_and_its_file_say_the_same(tmp_path):
     axis = identified_axis()
     left = about_identified(axis)

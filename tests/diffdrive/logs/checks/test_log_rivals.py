@@ -146,6 +146,7 @@ def test_a_motor_in_millimetres_has_no_lost_motion():
     assert (finding.cause, finding.channel) == ("gain", "motor_position")
 
 
+@pytest.mark.long
 def test_a_drive_that_is_switched_off_after_its_motion_is_looked_at():
     cascade = OTHERS["cascade"]
     log = simulate_log(cascade, triangle())
