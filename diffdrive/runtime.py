@@ -80,7 +80,11 @@ def arithmetic_signature() -> list[str]:
 
 def _enable_compilation_cache() -> None:
     """Keep what is compiled, and forget what nobody has used for long: jax itself never does without a lock."""
-    if jax.config.jax_compilation_cache_dir is not None or not jax.config.jax_enable_compilation_cache:
+    if not jax.config.jax_enable_compilation_cache:
+        return
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        _set("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_TIME)
+    if jax.config.jax_compilation_cache_dir is not None:
         return
     folder = Path(platformdirs.user_cache_dir("diffdrive", appauthor=False)) / "compiled"
     with contextlib.suppress(OSError):  # another process may forget the same
@@ -90,4 +94,3 @@ def _enable_compilation_cache() -> None:
                 program.unlink()
     if os.access(folder, os.W_OK):
         _set("jax_compilation_cache_dir", str(folder))
-        _set("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_TIME)

@@ -17,17 +17,23 @@ assert jax.config.jax_enable_x64 == before, "an import changes nothing"
 dd.configure()
 assert jax.config.jax_enable_x64
 print(jax.config.jax_compilation_cache_dir)
+print(jax.config.jax_persistent_cache_min_compile_time_secs)
 """
 
 
 def cache_dir(home, **more):
+    return configured(home, **more)[0]
+
+
+def configured(home, **more):
+    """Where programs are kept, and after how long a compilation (s)."""
     cleared = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM.format(home=str(home))],
         capture_output=True, text=True, check=False, env=cleared | more,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    return done.stdout.split()
 
 
 def test_programs_are_kept_until_nobody_has_used_them_for_two_months(tmp_path):
@@ -41,7 +47,9 @@ def test_programs_are_kept_until_nobody_has_used_them_for_two_months(tmp_path):
 
 
 def test_the_environment_decides_where_and_whether(tmp_path):
-    assert cache_dir(tmp_path, JAX_COMPILATION_CACHE_DIR="elsewhere") == "elsewhere"
+    assert configured(tmp_path, JAX_COMPILATION_CACHE_DIR="elsewhere") == ["elsewhere", "0.1"]
+    asked = {"JAX_COMPILATION_CACHE_DIR": "elsewhere", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "3"}
+    assert configured(tmp_path, **asked) == ["elsewhere", "3.0"]
     assert cache_dir(tmp_path, JAX_ENABLE_COMPILATION_CACHE="0") == "None"
     assert list(tmp_path.iterdir()) == []
 
