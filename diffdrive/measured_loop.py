@@ -13,7 +13,7 @@ from jaxtyping import Array, Complex, Float
 from diffdrive.axis import Axis
 from diffdrive.errors import ParameterError
 from diffdrive.frequency.resonances import Resonance, find_resonances
-from diffdrive.frequency.response import FrequencyResponse
+from diffdrive.frequency.response import FrequencyResponse, require_response
 from diffdrive.linearisation import LinearLoop, StabilityMargins, linearise, stability_margins
 from diffdrive.loop import measured as loop_measured
 from diffdrive.loop.linearise import OperatingPoint
@@ -90,6 +90,7 @@ def measured_loop(
         >>> measured_loop(axis, measured).margins()
 
     """
+    require_response(measured)
     linear = linearise(axis, velocity=velocity, load=load)
     given = (axis if measured_with is None else measured_with).smooth()
     drive, controller = as_arrays((given.drive, given.controller))

@@ -8,6 +8,7 @@ from jaxtyping import Complex, Float
 from diffdrive.errors import ParameterError
 from diffdrive.model.data_sheet import DataSheet
 from diffdrive.model.motor_units import to_axis_si
+from diffdrive.support.bounds import require_a
 from diffdrive.support.messages import short_repr
 
 # what a response may be of, and what it leads from and to
@@ -97,6 +98,11 @@ class FrequencyResponse:
     def __repr__(self) -> str:
         low, high = self.frequency[[0, -1]]
         return f"FrequencyResponse of {self.of} in {self.unit}: {len(self.frequency)} from {low:.3g} to {high:.4g} Hz"
+
+
+def require_response(measured: object, name: str = "measured") -> None:
+    """Raise `ParameterError` for what is no frequency response, such as the path of its file."""
+    require_a(FrequencyResponse, name, measured, "read a file with read_frequency_response")
 
 
 def require_known(of: object) -> None:

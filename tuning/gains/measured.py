@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
-from diffdrive.frequency.response import FrequencyResponse
+from diffdrive.frequency.response import FrequencyResponse, require_response
 from diffdrive.linearisation import StabilityMargins
 from diffdrive.loop.linearise import OperatingPoint, open_loop
 from diffdrive.loop.margins import Margins
@@ -34,6 +34,14 @@ class MeasuredMargins(NamedTuple):
     name: str
     before: StabilityMargins
     after: StabilityMargins
+
+
+def responses_of(measured: object) -> tuple[FrequencyResponse, ...]:
+    """One measured response or several; raises `ParameterError` for what is none."""
+    responses = tuple(measured) if isinstance(measured, list | tuple) else (measured,)
+    for one in responses:
+        require_response(one)
+    return responses
 
 
 def measured_margins_of(

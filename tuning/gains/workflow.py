@@ -6,7 +6,8 @@ from pathlib import Path
 from diffdrive.axis import Axis, require_axis
 from diffdrive.frequency.response import FrequencyResponse
 from diffdrive.motion.motion import Motion, require_motion
-from tuning.gains.measured import measured_margins_of
+from diffdrive.support.bounds import require_a
+from tuning.gains.measured import measured_margins_of, responses_of
 from tuning.gains.objective import Objective
 from tuning.gains.plan import SETTLE, SPREAD, TuningPlan, spread_of
 from tuning.gains.requirements import Requirements
@@ -82,6 +83,9 @@ def tune(
     require_axis(axis)
     if motion is not None:
         require_motion(motion)
+    require_a(Requirements, "requirements", requirements)
+    require_a(Objective, "objective", objective)
+    responses = responses_of(measured)
     if settle is None:
         settle = SETTLE if motion is None else min(SETTLE, motion.duration / 3.0)
     plan = TuningPlan(
@@ -90,7 +94,6 @@ def tune(
         uncertainty=axis.uncertainty if spread is None else None,
     )  # fmt: skip
     options = SearchOptions(starts, seed, max_steps)
-    responses = (measured,) if isinstance(measured, FrequencyResponse) else tuple(measured)
     with reporting(progress) as tell:
         prepared = set_up(axis, plan, requirements, objective, friction=friction, measured=responses)
         with searching(tell, f"tuning {len(prepared.space.names)} gains by gradient") as step:

@@ -5,14 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import numpy as np
-
-from diffdrive.axis import Axis
+from diffdrive.axis import Axis, require_axis
 from diffdrive.controllers import UnknownController
 from diffdrive.controllers.cascade import Cascade
 from diffdrive.errors import LogError, ParameterError
 from diffdrive.logs import Log, read_logs
 from diffdrive.results import Result, Status
+from diffdrive.support.bounds import require_number
 from tuning.identification.controller.cascade import cascade_of
 from tuning.identification.controller.compare import SMALLEST, Difference, Named, differences_of
 from tuning.identification.controller.gains import Gain, Parts, gains_of, parts_of, parts_of_cascade, pooled
@@ -137,8 +136,10 @@ def identify_controller(
         >>> [difference.sentence for difference in estimate.differences]
 
     """
-    if control_rate is not None and not (np.isfinite(control_rate) and control_rate > 0):
-        raise ParameterError(f"control_rate: must be positive and finite, in Hz, got {control_rate!r}")
+    if axis is not None:
+        require_axis(axis)
+    if control_rate is not None:
+        require_number("control_rate", control_rate, "Hz", above=0.0)
     read = _read(axis, logs)
     control_rate = control_rate or known_rate(axis)
     each = tuple(of_log(log, control_rate) for log in read)
