@@ -14,7 +14,7 @@ from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.errors import ParameterError
 from diffdrive.model.data_sheet import NO_SHEET
 from diffdrive.model.parameters import require_compatible
-from diffdrive.support.messages import short_repr
+from diffdrive.support.messages import short_repr, suggestion
 from diffdrive.support.registry import Registry
 
 EffectType = TypeVar("EffectType", bound=Effect)
@@ -86,6 +86,15 @@ def register(effect: type[EffectType]) -> type[EffectType]:
             raise ParameterError(f"effect {name}: from_sheet: no parameter '{parameter}', or no key '{key}' of [axis]")
     EFFECTS.add(name, effect)
     return effect
+
+
+def require_effects(names: Iterable[str], where: str) -> None:
+    """Raise `ParameterError` for a name that no effect has; `where`, an argument or an option, begins the message."""
+    if isinstance(names, str):
+        raise ParameterError(f"{where}: must be a list of names, such as [{names!r}], got {short_repr(names)}")
+    for name in names:
+        if name not in EFFECTS:
+            raise ParameterError(f"{where}: no effect {short_repr(name)}; {suggestion(str(name), EFFECTS)}")
 
 
 def effects_by_part() -> dict[str, tuple[type[Effect], ...]]:

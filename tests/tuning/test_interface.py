@@ -39,8 +39,12 @@ def test_an_axis_with_effects_is_not_identified():
 
 
 def test_an_effect_that_is_not_known_cannot_be_left_out():
-    with pytest.raises(ParameterError, match="without: no effect 'cooging'"):
-        tuning.diagnose(DRIVE, SOUND, without=["cooging"])
+    with pytest.raises(ParameterError, match=r"without: no effect 'coging'; did you mean 'cogging'\?$"):
+        tuning.diagnose(DRIVE, SOUND, without=["coging"])
+    with pytest.raises(ParameterError, match=r"without: no effect 'gravity'; known: applied_load, "):
+        tuning.diagnose(DRIVE, SOUND, without=["gravity"])
+    with pytest.raises(ParameterError, match=r"without: must be a list of names, such as \['cogging'\], got 'cogging'"):
+        tuning.diagnose(DRIVE, SOUND, without="cogging")
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ from jaxtyping import Array, Float
 from scipy.stats import chi2
 
 from diffdrive.controllers import Controller, UnknownController
-from diffdrive.effects.catalogue import EFFECTS, effects_by_part
+from diffdrive.effects.catalogue import effects_by_part, require_effects
 from diffdrive.effects.scale import LeadError
-from diffdrive.errors import LogError, ParameterError
+from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, Sampling, require_coulomb_friction
 from diffdrive.numerics.arrays import as_arrays
@@ -147,9 +147,7 @@ def diagnose(
     """
     require_coulomb_friction(drive, "a diagnosis")
     logged = logged_of(drive, logs)
-    unknown = [name for name in without if name not in EFFECTS]
-    if unknown:
-        raise ParameterError(f"no effect {', '.join(unknown)} in the catalogue: {', '.join(EFFECTS)}")
+    require_effects(without, "without")
     effects = [counted_in(one, logged.thinning) for one in drive.effects]
     fitter = Fitter(logged, twist_of(logs, logged.lanes, float(logged.noise), logged.thinning), store)
     at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning, logged.starts)

@@ -12,8 +12,8 @@ import jax
 from diffdrive.axis import Axis
 from diffdrive.effects.actuator import ForceGain, LoopDelay
 from diffdrive.effects.base import ScaleEffect
-from diffdrive.effects.catalogue import EFFECTS, in_order
-from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.effects.catalogue import EFFECTS, in_order, require_effects
+from diffdrive.errors import DiffdriveError
 from diffdrive.logs.checks.finding import Finding
 from diffdrive.model.parameters import Drive
 from diffdrive.results import Result, Status
@@ -141,9 +141,7 @@ def diagnose(
         >>> why.axis.write("augmented.toml")
 
     """
-    for name in without:
-        if name not in EFFECTS:
-            raise ParameterError(f"without: no effect {name!r}; known: {', '.join(EFFECTS)}")
+    require_effects(without, "without")
     require_count("most_effects", most_effects)
     require_number("tolerance", tolerance, above=0.0, at_most=1.0)
     (used,) = checked(axis, logs, loads=loads)

@@ -9,7 +9,7 @@ import numpy as np
 from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.controllers import UnknownController
-from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.effects.catalogue import require_effects
 from diffdrive.errors import ParameterError
 from experiments.reports.checked_logs import axis_with_overrides, parse_loads, read_and_check
 from experiments.reports.diagnosis.figures import save_diagnosis_figures
@@ -58,9 +58,7 @@ def diagnose_logs(
     """
     if tuned and out is None:
         raise ParameterError("--tune needs --out: the drive to tune on is written there")
-    for name in without:
-        if name not in EFFECTS:
-            raise ParameterError(f"--without {name}: no such effect; known: {', '.join(EFFECTS)}")
+    require_effects(without, "--without")
     description = axis_with_overrides(drive, columns, units, shifts, paths)
     with Report(f"{drive.name}: diagnosis from {', '.join(path.name for path in paths)}", out) as report:
         checked = read_diagnosis_logs(report, paths, description, loads)

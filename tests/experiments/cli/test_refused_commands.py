@@ -55,6 +55,11 @@ def test_a_log_that_cannot_be_read_leaves_the_folder_as_it_was(drive_file, tmp_p
     assert not (tmp_path / "out").exists()
 
 
+def test_a_misspelt_effect_is_answered_with_the_one_that_was_meant(drive_file):
+    said = refused("diagnose", "lap.csv", "--drive", drive_file, "--without", "coging")
+    assert "--without: no effect 'coging'; did you mean 'cogging'?" in said
+
+
 @pytest.mark.parametrize("command", ["simulate", "tune", "convergence", "sweep", "template"])
 def test_a_folder_that_cannot_be_written_to_is_named_before_anything_is_computed(drive_file, command, monkeypatch):
     computed = []

@@ -79,7 +79,7 @@ def test_a_loop_without_noise_beyond_its_scales_steps_has_a_floor_all_the_same()
 
 
 def test_an_effect_that_does_not_exist_cannot_be_left_out():
-    with pytest.raises(ParameterError, match="no effect coging in the catalogue"):
+    with pytest.raises(ParameterError, match=r"no effect .coging.; did you mean .cogging.\?"):
         diagnose(DRIVE.drive, DRIVE.controller, [SOUND], without=("coging",))
 
 
