@@ -17,7 +17,10 @@ def fake_fit(*effects, evidence, strain=0.0, coarse=False):
         SimpleNamespace(candidate=SimpleNamespace(name=one, searched=one in SEARCHED, parameters=(one,)))
         for one in effects
     )
-    model = SimpleNamespace(members=members, added=len(effects), coarse=coarse, coupled=coarse, possible=lambda u: True)
+    model = SimpleNamespace(
+        members=members, added=len(effects), coarse=coarse, coupled=coarse, possible=lambda u: True,
+        tolerance=0.02,
+    )  # fmt: skip
     return SimpleNamespace(model=model, evidence=evidence, cost=evidence, u=np.r_[strain, np.zeros(len(NAMES) - 1)])
 
 

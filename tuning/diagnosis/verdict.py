@@ -22,6 +22,7 @@ from tuning.diagnosis.leftover import (
     complete,
     disbelieved,
     furthest,
+    relieves,
     strain,
     unexplained,
 )
@@ -235,6 +236,13 @@ def _nothing_found(base: Fitted, beliefs: list[Belief], lacks: bool) -> Verdict:
     return Verdict("none", beliefs, 0.0, "the recalibrated drive explains the logs to the noise: no effect is missing")
 
 
+def _beyond_no_gap(found: Explanation, named: str) -> str:
+    """What is said of effects where recalibration leaves no gap: why it moved a number far, or what else they bring."""
+    if relieves(found.best, found.base):
+        return f"recalibration hides the gap: {furthest(found.base)}, which {named} makes needless"
+    return f"the recalibrated drive explains the logs to the noise, and with {named} they are likelier still"
+
+
 def _found(found: Explanation, beliefs: list[Belief], lacks: bool, share: float, much: str) -> Verdict:
     """The verdict on effects that leave only a `share` of the gap, and explain so `much`."""
     named = " and ".join(one.effect for one in beliefs if one.found)
@@ -243,5 +251,6 @@ def _found(found: Explanation, beliefs: list[Belief], lacks: bool, share: float,
         says = f"recalibration hides the gap, and {named} {explains} it no better: still {furthest(found.best)}"
         return Verdict("unknown", _unsure(beliefs), 0.0, says)
     others = sorted({name for one in beliefs if one.found for name in one.alternatives} - found.named)
-    says = f"{named} {explains} {much}" + (f"; these logs do not exclude {', '.join(others)}" if others else "")
+    says = f"{named} {explains} {much}" if lacks else _beyond_no_gap(found, named)
+    says += f"; these logs do not exclude {', '.join(others)}" if others else ""
     return Verdict("effect", beliefs, share, says)

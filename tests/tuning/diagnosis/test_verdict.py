@@ -111,6 +111,22 @@ def test_where_details_differ_the_simulation_tells_how_much_is_explained(leaving
     assert gap in told.says
 
 
+@pytest.mark.parametrize(
+    ("moved", "says"),
+    [
+        (0.0, "the recalibrated drive explains the logs to the noise, and with friction_shape they are likelier still"),
+        (5.0, "recalibration hides the gap: mass had to be moved by +10.5 %, 5.0 times its tolerance, which friction_"),
+    ],
+)
+def test_where_recalibration_leaves_no_gap_none_is_explained(monkeypatch, moved, says):
+    monkeypatch.setattr(verdict, "complete", lambda *_: True)
+    base, best = fake_fit(evidence=0.0, strain=moved), fake_fit("friction_shape", evidence=-100.0)
+    told = verdict.judge(None, Explanation(base, [Round(base, [], [best], 1, 0.0)], best))
+    assert told.verdict == "effect"
+    assert told.says.startswith(says)
+    assert "explains the gap" not in told.says
+
+
 def test_of_each_effect_there_is_one_belief(leaving):
     """What was found of it, however sure it seemed in another round; else what is surest."""
     leaving(0.001)
