@@ -41,8 +41,8 @@ class StabilityMargins(eqx.Module):
         grows = "" if np.isinf(float(self.growth)) else f": a mode grows by {float(self.growth):.3g} 1/s"
         verdict = "stable" if self.stable else f"UNSTABLE{grows}"
         return (
-            f"{verdict}; gain margins {float(self.gain_margin_up):.3g} dB up, {float(self.gain_margin_down):.3g} dB "
-            f"down, phase margin {float(self.phase_margin):.3g} deg at {float(self.crossover):.3g} Hz, peak "
+            f"{verdict}; gain margins {float(self.gain_margin_up):z.3g} dB up, {float(self.gain_margin_down):z.3g} dB "
+            f"down, phase margin {float(self.phase_margin):z.3g} deg at {float(self.crossover):.3g} Hz, peak "
             f"sensitivity {float(self.peak_sensitivity):.3g}"
         )
 

@@ -60,7 +60,7 @@ def _thousands(number: float) -> int:
 def _plain(number: float) -> str:
     """A number without an interval."""
     if number == 0.0 or not math.isfinite(number) or FIXED_RANGE[0] <= abs(number) < 10.0**PLAIN_DIGITS:
-        return f"{number:.{PLAIN_DIGITS}g}"
+        return f"{number:z.{PLAIN_DIGITS}g}"
     thousands = _thousands(abs(float(f"{number:.{PLAIN_DIGITS}g}")))
     return f"{number / 10.0**thousands:.{PLAIN_DIGITS}g}e{thousands}"
 

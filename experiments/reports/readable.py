@@ -36,7 +36,7 @@ def readable(text: str) -> str:
 def significant(value: float, digits: int = DIGITS) -> str:
     """So many significant digits; very large and very small numbers with an exponent that is a multiple of three."""
     if value == 0.0 or not math.isfinite(value):
-        return f"{value:g}"
+        return f"{value:zg}"
     if value == round(value) and abs(value) < LARGEST_WHOLE:
         return f"{value:.0f}"
     exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])  # after rounding: 9999.9 has that of 10000

@@ -87,7 +87,7 @@ def verdict(tuned: GainSearch, runs: Sequence[ScenarioComparison]) -> str:
     was, now = (1e6 * float(np.mean([one.rms for one in judged])) for judged in _held_out(runs))
     held_out = (
         f"mean RMS error on scenarios not used for tuning {was:.3g} um as given, {now:.3g} um tuned "
-        f"({100.0 * (now / was - 1.0):+.0f} %)"
+        f"({100.0 * (now / was - 1.0):+z.0f} %)"
     )
     if is_accepted(tuned, runs):
         return f"Accepted: {held_out}; every requirement is kept."

@@ -39,7 +39,7 @@ def worst_margins(margins: Margins) -> dict[str, float]:
         "peak_sensitivity": float(np.max(margins.sensitivity)),
         "growth_per_s": float(np.max(margins.growth)),
     }
-    return {name: round(float(value), 6) for name, value in found.items() if np.isfinite(value)}
+    return {name: round(float(value), 6) + 0.0 for name, value in found.items() if np.isfinite(value)}  # no -0.0
 
 
 def write_handover(path: Path, tables: TomlTable) -> None:

@@ -63,7 +63,7 @@ def summarise_payoff(found: dict[str, GainFigures]) -> str:
     unkept = [name for name in NAMES[1:] if not found[name]["requirements_kept_where_tuned"]]
     sentence = (
         f"On the augmented drive, tuning on it leaves {now:.3g} um of tracking error where tuning on the nominal one "
-        f"leaves {was:.3g} um ({100 * (now / was - 1):+.0f} %)."
+        f"leaves {was:.3g} um ({100 * (now / was - 1):+z.0f} %)."
     )
     sentence += f" Simulations fail with the gains {' and '.join(failed)}." if failed else ""
     return sentence + (f" Requirements could not be kept by the gains {' and '.join(unkept)}." if unkept else "")

@@ -18,6 +18,7 @@ from experiments.reports.report import Report
     [
         (0.0, "0"), (1.0, "1"), (10000.0, "10000"), (12345.6, "12.35e3"), (33.5e6, "33.5e6"), (2.887e-8, "28.87e-9"),
         (0.03982, "0.03982"), (9999.96, "10e3"), (-0.26756, "-0.2676"), (0.00099987, "999.9e-6"), (math.inf, "inf"),
+        (-0.0, "0"),
     ],
 )  # fmt: skip
 def test_numbers_have_four_digits_and_exponents_of_three(value, shown):

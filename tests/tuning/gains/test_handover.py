@@ -13,7 +13,7 @@ from diffdrive.controllers import Command, Controller, Tunable
 from diffdrive.logs.mapping import ColumnMapping
 from diffdrive.loop.margins import Margins
 from diffdrive.model.quantity import quantity
-from tuning.gains.handover import handover
+from tuning.gains.handover import handover, worst_margins
 from tuning.gains.result import tuned_axis
 from tuning.gains.tune import default_space, gain_names, gain_units
 
@@ -69,3 +69,9 @@ def test_a_machine_keeps_its_friction_unless_that_is_tuned_along():
     apart = axis.with_controller(other.controller)  # its observer believes in another friction
     assert tuned_axis(apart, apart.controller, friction=False).drive.friction == axis.drive.friction
     assert tuned_axis(apart, apart.controller, friction=True).drive.friction == other.drive.friction
+
+
+def test_a_margin_that_rounds_to_zero_has_no_sign():
+    """As of the growth of a load that is not observable at rest: some 1e-12 1/s of rounding."""
+    found = worst_margins(MARGINS._replace(growth=-1e-12 * jnp.ones(1)))
+    assert {str(found[name]) for name in ("gain_up_dB", "growth_per_s")} == {"0.0"}
