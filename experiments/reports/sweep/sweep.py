@@ -1,6 +1,7 @@
 """`diffdrive sweep` and `diffdrive replay`: a sweep run, reported and drawn; and one of its machines again."""
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,14 @@ from experiments.reports.report import RESULT, Report, named_file
 from experiments.reports.simulation import write_simulation
 from experiments.reports.sweep import figures
 from experiments.reports.sweep.tables import LISTED, GroupInfluences, print_sweep, print_varied
+from tuning.progress import Progress
 from tuning.sweeps.parts import stored_errors
 from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.replay import SIGNALS, choose_names, machine_run, repeat_costs, run_errors, sweep_machine, traces
 from tuning.sweeps.result import SweepResult, group_influences
 from tuning.sweeps.spec import FILE, read_spec
 from tuning.sweeps.summary import first_to_diverge, worst
-from tuning.sweeps.workflow import PARTS, sweep
+from tuning.sweeps.workflow import PARTS, Started, sweep
 
 ALIKE = 0.01  # of RMS and peak error: what the signals of a machine by itself may be off
 
@@ -41,16 +43,39 @@ def sweep_and_report(
         raise ParameterError(f"--out {out}: holds the results of another command; name another folder")
     names = dict.fromkeys(Path(text.partition(":")[0]).name for text in motions)
     with Report(f"{axis.name}: {options['samples']} machines, {', '.join(names)}", out) as report:
-        with report.counted(f"simulating machines of {axis.name}", options["samples"]) as done:
+        with _machines_bar(report, f"simulating machines of {axis.name}") as (started, progress):
             result = sweep(
-                axis, motions, resume=out, progress=lambda _stage, count, _most: done(count),
-                started=lambda plan, notes: introduce(report, plan, notes), notify=report.console.print, **options,
-            )  # fmt: skip
+                axis, motions, resume=out, progress=progress, started=started, notify=report.console.print, **options
+            )
         _legend(report, result.plan, motions)
         report_sweep(report, result)
         if recorded:
             _record(report, result, recorded)
     return result.status.ok
+
+
+@contextlib.contextmanager
+def _machines_bar(report: Report, what: str) -> Iterator[tuple[Started, Progress]]:
+    """What a sweep calls as it starts, and with its progress: the bar is drawn from the start on, so that a sweep that
+    is refused shows none.
+    """
+    finished = 0
+    advance: Callable[[int], None] | None = None
+
+    def start(plan: SweepPlan, notes: tuple[str, ...]) -> None:
+        nonlocal advance
+        introduce(report, plan, notes)
+        advance = stack.enter_context(report.counted(what, plan.samples))
+        advance(finished)
+
+    def progress(_stage: str, count: int, _most: int) -> None:
+        nonlocal finished
+        finished = count
+        if advance is not None:
+            advance(count)
+
+    with contextlib.ExitStack() as stack:
+        yield start, progress
 
 
 def introduce(report: Report, plan: SweepPlan, notes: Sequence[str]) -> None:

@@ -259,6 +259,7 @@ def test_what_cannot_be_is_refused_at_once(drives, tmp_path, monkeypatch, more, 
     result = run("sweep", drives / "axis.toml", "--motion", MOTION, *settle, *more)
     assert result.exit_code not in (0, 3)
     assert says in (str(result.exception) + result.output)
+    assert "simulating machines" not in result.output  # no bar for what does not begin
     assert not (tmp_path / "x").exists()
 
 
