@@ -19,9 +19,9 @@ from tuning.gains.measured import MeasuredMargins
 from tuning.gains.pareto import ParetoFront, pareto_front
 from tuning.gains.plan import ScenarioResult, TuningPlan
 from tuning.gains.requirements import LoopLimits
-from tuning.gains.result import BELIEVED, TuningResult, remarks
+from tuning.gains.result import TuningResult
 from tuning.gains.tune import GainSearch
-from tuning.gains.verification import ControllerMargins, ScenarioComparison, is_accepted, noise_warning
+from tuning.gains.verification import ControllerMargins, ScenarioComparison, is_accepted
 from tuning.gains.workflow import tune
 
 if TYPE_CHECKING:
@@ -60,9 +60,9 @@ def tune_and_report(axis: Axis, report: Report, *, pareto: Sequence[float] = (),
 def report_tuning(report: Report, result: TuningResult) -> None:
     """The gains, their margins, the verification, figures, and where they are accepted the files that take them on."""
     given, tuned = result.initial_axis, result.search.controller
-    for note in result.setup.notes:
-        report.say(note)
     with report.result_first() as first:
+        for note in result.notes:
+            report.say(note)
         gains_table(report, result.search)
         margins_table(report, result.loop_margins)
         measured_table(report, result.measured_margins)
@@ -70,14 +70,10 @@ def report_tuning(report: Report, result: TuningResult) -> None:
         verification_table(report, result.runs)
         first(verdict(result.search, result.runs))
     report.figure("tuning", tuning_figure(result.search, list(result.runs), result.plan))
-    if noisy := noise_warning(result.setup, result.search, result.runs):
-        report.say(noisy)
     report.keep("verdict", accepted=result.accepted)
     if not result.accepted or report.out is None:
         return
     write_axis_file(report, result.axis, "tuned.toml")
-    if result.setup.friction:
-        report.say(f"{BELIEVED} On the command line: `--machine`.")
     tables = handover(given, result.search, result.loop_margins[1].training, _conditions(result))
     write_handover(report.out / "handover.toml", tables)
 
@@ -122,8 +118,6 @@ def gains_table(report: Report, tuned: GainSearch) -> None:
         ("gain", "unit", "given", "tuned", "ratio", "factor"),
         [[name, unit.replace("*", " "), *row] for unit, (name, *row) in zip(tuned.units, rows, strict=True)],
     )
-    for remark in remarks(tuned):
-        report.say(remark)
     report.print(
         f"Search: {tuned.status}; {standing.steps} steps, {standing.seconds:.0f} s; objective "
         f"{readable.significant(float(tuned.initial_point.objective))} as given, "
@@ -180,8 +174,6 @@ def verification_table(report: Report, runs: Sequence[ScenarioComparison]) -> No
     for one in runs:
         pairs = ((_scaled(one.before, key), _scaled(one.after, key)) for key in MEASURES)
         rows.append([one.scenario.name, one.role, *(value for pair in pairs for value in pair)])
-        if not one.after.run.status.ok:
-            report.say(f"{one.scenario.name}: {one.after.run.status.message}")
     names = ("RMS um", "peak um", "noise N", "load error kN")
     columns = ("scenario", "role", *(f"{name}{which}" for name in names for which in ("", " tuned")))
     report.record("verification", columns, rows)

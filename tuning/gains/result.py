@@ -24,7 +24,7 @@ from tuning.gains.verification import (
 
 BELIEVED = (
     "The tuned axis has the friction of the controller's nominal model, not the machine's: simulate it with the axis "
-    "that was given as the machine."
+    "that was given as the machine (`machine`, on the command line `--machine`)."
 )
 
 
