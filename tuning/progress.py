@@ -38,18 +38,18 @@ def reporting(progress: Progress | None) -> Iterator[Progress]:
 
 
 @contextlib.contextmanager
-def searching(tell: Progress, stage: str) -> Iterator[Callable[[int, int, float], None]]:
+def searching(advance: Progress, stage: str) -> Iterator[Callable[[int, int, float], None]]:
     """A search's steps as a stage, complete when the search ends: it may converge before its last step."""
     last = 0
 
     def step(done: int, most: int, _cost: float) -> None:
         nonlocal last
         last = done
-        tell(stage, done, most)
+        advance(stage, done, most)
 
     yield step
     if last:
-        tell(stage, last, last)
+        advance(stage, last, last)
 
 
 def _is_watched() -> bool:

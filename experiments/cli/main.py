@@ -26,8 +26,8 @@ app = typer.Typer(
 )
 
 
-def _say_version(asked: bool) -> None:
-    if asked:
+def _say_version(requested: bool) -> None:
+    if requested:
         from experiments.reports.report import version_of
 
         sys.stdout.write(f"diffdrive {version_of('diffdrive')}\n")

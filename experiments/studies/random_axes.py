@@ -100,9 +100,9 @@ def run(
         measured = rounded(state[0], noises[0], machine.resolution)
         measured_speed = (measured - past[0]) / (samples * period)
         missing = control.kp * (wanted - measured)
-        asked = missing + control.feedforward * wanted_speed - measured_speed
-        summed = integral + control.ki * period * asked
-        cascade = control.kv * asked + summed
+        velocity_error = missing + control.feedforward * wanted_speed - measured_speed
+        summed = integral + control.ki * period * velocity_error
+        cascade = control.kv * velocity_error + summed
         pd = missing + control.kv * (wanted_speed - measured_speed)
         force = jnp.where(control.cascaded > 0.0, cascade, pd)
 

@@ -94,9 +94,9 @@ def pareto_front(
     points: list[ParetoPoint] = []
     notes: list[str] = []
     status = Status(False, "no gains keep every requirement under any of the limits", code="not_accepted")
-    with reporting(progress) as tell:
+    with reporting(progress) as advance:
         for k, limit in enumerate(sorted(noise_limits)):
-            with searching(tell, f"tuning within {limit:g} N of command noise") as step:
+            with searching(advance, f"tuning within {limit:g} N of command noise") as step:
                 found = _tuned_under(result, limit, step)
             if found.interrupted:
                 status = Status(False, f"interrupted after {k} of {len(noise_limits)} limits", code="interrupted")

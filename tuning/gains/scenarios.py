@@ -41,10 +41,10 @@ class EnsembleSignals(NamedTuple):
     force_excess: Float[Array, "lanes n"] | None  # N, of the command over the force limit; None where there is none
     load_error: Float[Array, "lanes n"] | None  # N; None where no load is estimated
 
-    def require_load_error(self, asked_by: str) -> Float[Array, "lanes n"]:
+    def require_load_error(self, argument: str) -> Float[Array, "lanes n"]:
         """The load error (N); raises `ParameterError` where the controller shows none that could be kept or lowered."""
         if self.load_error is None:
-            raise ParameterError(f"{asked_by}: load_error: this controller estimates no load, so that it has no error")
+            raise ParameterError(f"{argument}: load_error: this controller estimates no load, so that it has no error")
         return self.load_error
 
 

@@ -94,17 +94,17 @@ def tune(
         uncertainty=axis.uncertainty if spread is None else None,
     )  # fmt: skip
     options = SearchOptions(starts, seed, max_steps)
-    with reporting(progress) as tell:
+    with reporting(progress) as advance:
         prepared = set_up(axis, plan, requirements, objective, friction=friction, measured=responses)
-        with searching(tell, f"tuning {len(prepared.space.names)} gains by gradient") as step:
+        with searching(advance, f"tuning {len(prepared.space.names)} gains by gradient") as step:
             tuned = search_gains(
                 axis.controller, prepared.lanes, prepared.constraints, prepared.space, objective=objective,
                 options=options, resume=resume, progress=step,
             )  # fmt: skip
-        tell("verifying on the exact simulator", 0, 1)
+        advance("verifying on the exact simulator", 0, 1)
         margins = margins_at(axis, [axis.controller, tuned.controller], plan)
         of_measured = measured_margins_of(axis, tuned.controller, responses, plan.top_speed, plan.loads[0])
         runs = verify(axis, tuned.controller, prepared, plan.settle)
-        tell("verifying on the exact simulator", 1, 1)
+        advance("verifying on the exact simulator", 1, 1)
     result = tuning_result(axis, plan, prepared, objective, options, tuned, margins, runs, of_measured)
     return result.require_ok() if throw else result

@@ -31,7 +31,7 @@ FLAT = 4.0
 class ShownMotion(NamedTuple):
     """The motion that logs show for certain."""
 
-    window: int  # samples over which the velocity is told
+    window: int  # samples over which the velocity is differenced
     velocity: Float[np.ndarray, " m"]  # m/s, of the samples at which the table moves
     slowest: float  # m/s, above which it counts as moving
     rate: float  # Hz
@@ -79,7 +79,7 @@ def shortcomings(logs: Sequence[Log], drive: Drive, fixed: Collection[str] = ())
     `fixed` names unknowns that are held, of which nothing is asked. Raises `LogError` where no log can be used.
     """
     shown = shown_motion(logs, drive)
-    if len(shown.velocity) < shown.window:  # any motion shows for as long as the velocity is told over
+    if len(shown.velocity) < shown.window:  # any motion shows for as long as the velocity is differenced over
         return [
             Shortcoming(
                 "mass and friction",

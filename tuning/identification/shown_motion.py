@@ -7,19 +7,19 @@ from jaxtyping import Bool, Float
 
 SLOWEST = 2e-4  # m/s, below which the table is at rest
 LARGEST = 99.5  # percentile: the largest speed
-WINDOWS = (5e-3, 5e-2, 0.5)  # s, over which the velocity is told: the longer, the slower a motion stands out from noise
+WINDOWS = (5e-3, 5e-2, 0.5)  # s, windows of the velocity: the longer, the slower a motion stands out from noise
 CLEARLY = 2.0  # times what noise alone may seem to move at, that the fastest of the motion is: the noise is in it, too
 SLOW = 0.1  # of the 95th percentile of speed, which counts as motion where that is slow throughout
 CHATTER = 4.0  # standard deviations of the measured velocity, below which nothing says that the table moves
 
 
 class Shortcoming(NamedTuple):
-    """Something that the logs cannot tell, why, and the motion that would."""
+    """Something that the logs do not determine, why, and the motion that would."""
 
     what: str
     why: str
     motion: str
-    hopeless: bool = False  # nothing can be told at all
+    hopeless: bool = False  # nothing can be determined at all
 
     @property
     def sentence(self) -> str:
@@ -30,7 +30,7 @@ class Shortcoming(NamedTuple):
 def shown_velocity(
     position: Float[np.ndarray, "lanes n"], counts: Bool[np.ndarray, "lanes n"], noise: float, rate: float
 ) -> tuple[int, Float[np.ndarray, "lanes m"], float]:
-    """Over how many samples the velocity is told, the velocity (m/s), and above which speed (m/s) the table moves.
+    """Over how many samples the velocity is differenced, the velocity, and above which speed the table moves (m/s).
 
     The shortest window over which any motion stands out from the noise; where none does, the first.
     """

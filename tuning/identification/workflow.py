@@ -19,11 +19,11 @@ from tuning.identification.excitation import shortcomings
 from tuning.identification.gaps import Gap, gaps
 from tuning.identification.identify import Identification, require_search
 from tuning.identification.identify import identify as fit_drive
+from tuning.identification.informative import most_informative
 from tuning.identification.parameters import without_side
 from tuning.identification.scale_noise import unstated_noise
 from tuning.identification.setup import held_unknowns
 from tuning.identification.shown_motion import Shortcoming
-from tuning.identification.telling import most_telling
 from tuning.optimisation.least_squares import Outcome
 from tuning.progress import Progress, reporting, searching
 from tuning.store.folder import FolderStore
@@ -193,10 +193,10 @@ def identify(
     if not force:
         for several in (used, others):
             require_sound(several, "force=True identifies all the same, and fits that as mass or friction")
-    with reporting(progress) as tell:
+    with reporting(progress) as advance:
         result = identify_checked(
             axis, used, others, fixed=fixed, bounds=bounds or {}, starts=starts, seed=seed,
-            store=FolderStore.of(resume), progress=tell,
+            store=FolderStore.of(resume), progress=advance,
         )  # fmt: skip
     return result.require_ok() if throw else result
 
@@ -216,14 +216,14 @@ def identify_checked(
     """`identify` from logs that were looked over, whatever was found in them; finished searches are in the `store`."""
     _require_no_effects(axis)
     seen = axis.as_logged()
-    lacking = shortcomings(used.logs, seen.drive, held_unknowns(fixed))
-    parts = most_telling(used.logs, seen.drive)
+    deficits = shortcomings(used.logs, seen.drive, held_unknowns(fixed))
+    parts = most_informative(used.logs, seen.drive)
     fitted, others = replace(used, logs=parts.fitted), replace(held_out, logs=(*held_out.logs, *parts.rest))
     with searching(progress, "fitting friction, mass and delay") as step:
         found = fit_drive(
             fitted.logs, seen.drive, fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=step,
         )  # fmt: skip
-    return _result(axis, seen, found, fitted, others, lacking, parts.note)
+    return _result(axis, seen, found, fitted, others, deficits, parts.note)
 
 
 def _require_no_effects(axis: Axis) -> None:
@@ -239,7 +239,7 @@ def _result(
     found: Identification,
     used: CheckedLogs,
     held_out: CheckedLogs,
-    lacking: Sequence[Shortcoming],
+    deficits: Sequence[Shortcoming],
     selection: str,
 ) -> IdentificationResult:
     """The result, with what is to be said of it; `seen` is the axis as its logs show it, `used` what was fitted."""
@@ -248,7 +248,7 @@ def _result(
     notes = [f"{log}: {finding.message}; {finding.remedy}" for log, finding in findings]
     notes += [selection] if selection else []
     sums = determined_sums(found)
-    notes += [*against, *(one.sentence for one in lacking), *found.notes, *(one.message for one in sums)]
+    notes += [*against, *(one.sentence for one in deficits), *found.notes, *(one.message for one in sums)]
     notes.append(found.adequacy.says)
     unstated = unstated_noise(seen.drive, found.noise)
     notes += [unstated] if unstated else []
@@ -258,14 +258,14 @@ def _result(
     identified = replace(axis.with_logged_drive(found.drive), name="identified", uncertainty=known)
     return IdentificationResult(
         identified, tuple(found.estimates), found, used, held_out,
-        tuple(notes), seen, _status(found, against, lacking, sums), tuple(against), tuple(lacking),
+        tuple(notes), seen, _status(found, against, deficits, sums), tuple(against), tuple(deficits),
     )  # fmt: skip
 
 
 def _status(
     found: Identification,
     against: Sequence[str],
-    lacking: Sequence[Shortcoming],
+    deficits: Sequence[Shortcoming],
     sums: Sequence[DeterminedSum],
 ) -> Status:
     """Converged and no more only where nothing speaks against the answer and the logs determine what was asked."""
@@ -277,8 +277,8 @@ def _status(
     if sums:
         said.append("known only together: " + ", ".join(f"{one.first} and {one.second}" for one in sums))
         code = "correlated" if code == "ok" else code
-    if lacking:
-        said.append("not determined: " + ", ".join(one.what for one in lacking))
+    if deficits:
+        said.append("not determined: " + ", ".join(one.what for one in deficits))
         code = "poor_excitation" if code in ("ok", "correlated") else code
     return Status(True, "; ".join(said), code=code)
 

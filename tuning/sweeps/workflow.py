@@ -123,10 +123,10 @@ def sweep(
     )  # fmt: skip
     kept = out if resume is None else resume
     folder = None if kept is None else Path(kept)
-    with reporting(progress) as tell:
+    with reporting(progress) as advance:
         result = run_sweep(
             spec, folder, _engine(spec, workers, cluster), tolerance=tolerance, by=by, started=started, notify=notify,
-            notes=notes, done=lambda machines: tell("machines", machines, spec.samples),
+            notes=notes, done=lambda machines: advance("machines", machines, spec.samples),
         )  # fmt: skip
     if out is not None:
         result.save(out)

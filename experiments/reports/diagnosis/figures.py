@@ -118,13 +118,13 @@ def _first_and_last(rungs: Sequence[Rung]) -> list[tuple[Rung, str, str]]:
 
 def _where(found: Diagnosis) -> Figure:
     """Shares of the gap beside the shares of the time."""
-    telling = [one for one in found.where if one.dimension not in ("subsystem", "signal")]
-    telling = [one for one in telling if one.p_value < SIGNIFICANT][:REGIONS] or telling[:REGIONS]
-    figure, axis = new_figure(width=9.0, height=0.9 + 0.34 * max(len(telling), 3))
-    at = np.arange(len(telling))[::-1]
-    axis.barh(at + 0.2, [100 * one.share for one in telling], 0.4, color=AFTER, label="of the gap")
-    axis.barh(at - 0.2, [100 * one.expected for one in telling], 0.4, color=BEFORE, label="expected by chance")
-    axis.set_yticks(at, [f"{one.dimension}: {one.region}" for one in telling])
+    significant = [one for one in found.where if one.dimension not in ("subsystem", "signal")]
+    significant = [one for one in significant if one.p_value < SIGNIFICANT][:REGIONS] or significant[:REGIONS]
+    figure, axis = new_figure(width=9.0, height=0.9 + 0.34 * max(len(significant), 3))
+    at = np.arange(len(significant))[::-1]
+    axis.barh(at + 0.2, [100 * one.share for one in significant], 0.4, color=AFTER, label="of the gap")
+    axis.barh(at - 0.2, [100 * one.expected for one in significant], 0.4, color=BEFORE, label="expected by chance")
+    axis.set_yticks(at, [f"{one.dimension}: {one.region}" for one in significant])
     axis.set_xlabel("share, %")
     axis.set_axisbelow(True)
     figure.legend(loc="outside upper right", ncols=2)

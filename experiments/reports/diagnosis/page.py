@@ -188,8 +188,8 @@ def _found(details: Details) -> str:
 
 def _regions(details: Details) -> list[str]:
     """Where more of the gap lies than chance would give, in words."""
-    telling = [one for one in details["where"] if one["p_value"] < SIGNIFICANT and one["share"] >= LEAST][:REGIONS]
-    return [f"{one['says']} ({_chance(one['p_value'])})" for one in telling]
+    significant = [one for one in details["where"] if one["p_value"] < SIGNIFICANT and one["share"] >= LEAST][:REGIONS]
+    return [f"{one['says']} ({_chance(one['p_value'])})" for one in significant]
 
 
 def _chance(p: float) -> str:

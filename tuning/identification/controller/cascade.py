@@ -9,7 +9,7 @@ from tuning.identification.controller.gains import Gain
 
 
 def cascade_of(gains: Sequence[Gain], drive: Drive, samples: int) -> Cascade:
-    """A cascade whose velocity is differenced over so many samples; what the logs do not tell from none is left out.
+    """A cascade whose velocity is differenced over so many samples; what the logs do not tell from zero is left out.
 
     Its feed-forward of acceleration is a share of that of the drive's mass, as drive files state it.
     """

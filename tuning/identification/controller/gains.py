@@ -17,7 +17,7 @@ PARTS = ("log kp", "log kv", "rate", "velocity feed-forward", "acceleration feed
 
 
 class Gain(NamedTuple):
-    """One gain, between `low` and `high` with 95 % confidence; `determined` where the log tells it from none."""
+    """One gain, between `low` and `high` with 95 % confidence; `determined` where the log tells it from zero."""
 
     name: str
     unit: str
@@ -131,7 +131,7 @@ def gains_of(parts: Parts) -> tuple[Gain, ...]:
     ki, ki_half = _integral_gain(parts, quantile)
 
     def logarithmic(name: str, unit: str, k: int) -> Gain:
-        # a standard deviation of half the value or less tells it from none
+        # a standard deviation of half the value or less tells it from zero
         with np.errstate(over="ignore"):  # an interval without end
             value, lowest, highest = np.exp([parts.values[k], low[k], high[k]]).tolist()
         return Gain(name, unit, value, lowest, highest, bool(half[k] < 1.0))

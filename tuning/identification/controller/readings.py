@@ -27,7 +27,7 @@ SNAPSHOT_DELAYS = (-1, 0, 1)
 CONVINCED = 15.1  # of chi squared with one degree of freedom: a chance of 1e-4 that noise alone shows so much
 LAG = 5  # of the regressors of every sample: how reference and measured velocity differ, whose coefficient is the gain
 SAME = 5.0  # standard deviations
-TRIED_ROWS = 8_000  # of a log, from which it is told how to read it: noise of so many rows is known to a hundredth
+TRIED_ROWS = 8_000  # of a log, from which its reading is chosen: noise of so many rows is known to a hundredth
 
 
 def fit_log(log: Log) -> LawFit:
@@ -36,7 +36,7 @@ def fit_log(log: Log) -> LawFit:
     Raises `LogError` where the log has no reference, no stretch that can be used, or no cascade's command.
     """
     if log.reference is None:
-        raise LogError(f"{log.name}: reference: is missing; a controller is told from reference, position and command")
+        raise LogError(f"{log.name}: reference: is missing; a controller is found from reference, position and command")
     found = list(pieces(log))
     if not found:
         raise LogError(
@@ -44,13 +44,13 @@ def fit_log(log: Log) -> LawFit:
             "longer motion"
         )
     reading = _reading(log, _busiest(log, found))
-    whole = search_law([reading.equation(log, piece) for piece in found], 1.0 / log.rate, reading.reading)
-    if whole is None:
+    law = search_law([reading.equation(log, piece) for piece in found], 1.0 / log.rate, reading.reading)
+    if law is None:
         raise LogError(
             f"{log.name}: command: does not push against the following error; check the signs of command and position, "
             "and that the reference is that of this axis"
         )
-    return with_covariance(whole, reading.samples)
+    return with_covariance(law, reading.samples)
 
 
 class _Choice(NamedTuple):

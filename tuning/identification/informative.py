@@ -1,4 +1,4 @@
-"""Of long logs the stretches that tell most: a fit costs in proportion to its seconds, and the rest can judge it.
+"""The most informative stretches of long logs: a fit costs in proportion to its seconds, and the rest can judge it.
 
 Which stretches is a question of the regressors of inverse dynamics alone, so it is answered before anything is fitted:
 mass, viscous and Coulomb friction and the Stribeck curve in each direction, and the slope over the load. Stretches are
@@ -44,7 +44,7 @@ class Stretches(NamedTuple):
         )
 
 
-def most_telling(logs: Sequence[Log], drive: Drive, seconds: float = LONGEST) -> Stretches:
+def most_informative(logs: Sequence[Log], drive: Drive, seconds: float = LONGEST) -> Stretches:
     """At most so many seconds of the logs, those that determine the drive's parameters best; all where they last less.
 
     A log that is fitted in part is in both, under its name; where it is cut it has gaps.
@@ -92,13 +92,14 @@ def _columns(log: Log, drive: Drive) -> Float[np.ndarray, "n p"]:
     """What each parameter's force is in proportion to, at every sample at which the table moves for certain."""
     lanes, rate = lanes_of([log]), log.rate
     counts = np.asarray(lanes.counts) > 0
-    window, told, slowest = shown_velocity(np.asarray(lanes.position), counts, noise_floor(drive, lanes, rate), rate)
+    noise = noise_floor(drive, lanes, rate)
+    window, differenced, slowest = shown_velocity(np.asarray(lanes.position), counts, noise, rate)
     columns = np.zeros((len(log.time), 8))
     load = np.zeros(len(log.time)) if log.load is None else log.load + float(drive.friction.initial_load)
     pair, exponent = drive.friction.stribeck_velocity, float(drive.friction.exponent)
     for lane, piece in enumerate(long_pieces(log)):
         velocity = np.zeros(piece.stop - piece.start)
-        velocity[window // 2 : window // 2 + len(velocity) - window] = told[lane, : len(velocity) - window]
+        velocity[window // 2 : window // 2 + len(velocity) - window] = differenced[lane, : len(velocity) - window]
         velocity[np.abs(velocity) < slowest] = 0.0
         smooth = max(1, round(SMOOTHING * rate))
         acceleration = np.zeros_like(velocity)

@@ -7,7 +7,7 @@ import pytest
 
 from diffdrive.logs import Log
 from diffdrive.model.presets import paper_drive
-from tuning.identification.telling import STRETCH, most_telling
+from tuning.identification.informative import STRETCH, most_informative
 
 RATE = 500.0
 DRIVE = paper_drive()
@@ -28,14 +28,14 @@ def mostly_resting(time):
 
 def test_short_logs_are_fitted_as_they_are():
     logs = [log_of(12.0, mostly_resting), log_of(12.0, mostly_resting, "other")]
-    found = most_telling(logs, DRIVE)
+    found = most_informative(logs, DRIVE)
     assert list(found.fitted) == logs
     assert (found.rest, found.note) == ((), "")
 
 
 def test_of_a_long_log_what_moves_is_fitted_and_the_rest_held_out():
     log = log_of(100.0, mostly_resting)
-    found = most_telling([log], DRIVE, seconds=10.0)
+    found = most_informative([log], DRIVE, seconds=10.0)
     (fitted,), (rest,) = found
     times = {round(float(fitted.time[piece][0])) for piece in fitted.pieces()}
     assert times == {20, 60}
@@ -55,7 +55,7 @@ def test_a_stretch_that_shows_something_new_goes_before_one_more_of_the_same():
 
     log = log_of(100.0, strokes)
     loaded = dataclasses.replace(log, load=np.where((log.time >= 40) & (log.time < 45), 8e3, 0.0))
-    (fitted,), _ = most_telling([loaded], DRIVE, seconds=10.0)
+    (fitted,), _ = most_informative([loaded], DRIVE, seconds=10.0)
     assert np.max(fitted.load) == 8e3
     assert np.min(fitted.load) == 0.0
 
@@ -63,7 +63,7 @@ def test_a_stretch_that_shows_something_new_goes_before_one_more_of_the_same():
 def test_several_logs_and_their_gaps_are_cut_at_the_gaps():
     torn = dataclasses.replace(log_of(30.0, lambda time: 0.05 * np.sin(2 * np.pi * time)), gaps=(7_000, 7_050))
     resting = log_of(30.0, np.zeros_like, "rest")
-    found = most_telling([torn, resting], DRIVE, seconds=20.0)
+    found = most_informative([torn, resting], DRIVE, seconds=20.0)
     assert [log.name for log in found.fitted] == ["lap"]
     assert [log.name for log in found.rest] == ["lap", "rest"]
     for log in (*found.fitted, *found.rest):
