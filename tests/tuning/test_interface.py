@@ -161,6 +161,7 @@ def test_limits_of_a_pareto_front_are_above_zero(tuned, limits, says):
         tuning.pareto_front(tuned[0], limits)
 
 
+@pytest.mark.long
 def test_a_sweep_goes_on_where_it_was_and_counts_as_by_hand(tmp_path):
     asked = {"vary": {"load": "uniform:0..8 kN", "plant.mass": "lognormal:3%"}, "samples": 48, "tolerance": 1.5e-6}
     asked["settle"] = 0.0

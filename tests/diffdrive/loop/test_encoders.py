@@ -161,9 +161,8 @@ def frictionless(frequency, damping):
     return two_encoders(AXIS.drive, effect, plant=Plant(MASS, 0.0), friction=friction)
 
 
-@pytest.mark.parametrize(
-    ("position", "velocity"), [FEEDBACK[1], *(pytest.param(*one, marks=pytest.mark.long) for one in FEEDBACK[2:])]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("position", "velocity"), FEEDBACK[1:])
 def test_a_linearised_two_mass_drive_is_the_one_of_the_textbook(position, velocity):
     frequency, damping, kp, kv, ki = 180.0, 0.04, 40.0, 2e4, 3e5
     drive = frictionless(frequency, damping)

@@ -137,9 +137,9 @@ def by_differences(name):
 
 
 def _marks(name):
-    """One controller of each kind is quick enough for every run: the cascade, and a PD at its limit."""
-    quick = ("cascade", "PD at its force limit")
-    return [pytest.mark.slow] if name in PARTS else [] if name in quick else [pytest.mark.long]
+    """One is enough for every run, a PD at its limit."""
+    quick = name == "PD at its force limit"
+    return [pytest.mark.slow] if name in PARTS else [] if quick else [pytest.mark.long]
 
 
 @pytest.mark.parametrize("name", [pytest.param(one, marks=_marks(one)) for one in CONTROLLERS])

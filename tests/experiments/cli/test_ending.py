@@ -104,6 +104,7 @@ except KeyboardInterrupt: print("interrupted")
     assert (code, said) == (0, "interrupted\n")
 
 
+@pytest.mark.long
 def test_results_are_written_in_peace_after_the_first_interrupt(tmp_path):
     program = """
 ending.SECOND = 30.0
@@ -138,6 +139,7 @@ def test_the_folder_is_that_of_the_option(words):
     assert out_folder(words[:1]) is None
 
 
+@pytest.mark.long
 def test_a_third_signal_does_not_break_the_writing_that_the_second_one_set_going(tmp_path):
     imports = """
 from experiments.reports.interruption import stop_at_next_step

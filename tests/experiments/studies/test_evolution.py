@@ -94,6 +94,7 @@ def test_the_two_stage_route_finds_the_sliding_friction_of_a_drive_that_cruises(
     assert found.hysteresis_rms < found.evolution.history[0].cost
 
 
+@pytest.mark.long
 def test_the_two_stage_route_says_what_it_cannot_tell():
     case = synthetic_case(speeds=(0.02, 0.1))
     found = two_stage([case.log], emps.reference_drive(), budget=Budget(60, 5.0))

@@ -198,6 +198,7 @@ def test_a_seed_gives_the_same_cases():
     assert [a.fault.amount for a in draw_faulty_logs(6, 4, [TABLE])] != [a.fault.amount for a in one]
 
 
+@pytest.mark.long
 def test_the_report_counts(tmp_path):
     def examine(log, description):
         return [finding("swapped", "reference", severity="warning")] if log.name in motions(TABLE) else []

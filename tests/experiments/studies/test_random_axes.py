@@ -18,6 +18,7 @@ def folder(tmp_path_factory):
     return where
 
 
+@pytest.mark.long
 def test_every_family_is_written_with_its_truth_and_read_as_any_log_is(folder):
     key = json.loads((folder / "key.json").read_text())
     assert [one["family"] for one in key.values()] == list(FAMILIES)

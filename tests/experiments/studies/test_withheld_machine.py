@@ -114,6 +114,7 @@ def fault_free():
     return simulate_fault({}), simulate_effects()
 
 
+@pytest.mark.long
 def test_without_a_fault_it_is_the_simulator(fault_free):
     (position, command), (ours, expected_command) = fault_free
     assert np.abs(position - ours).max() < 5e-9

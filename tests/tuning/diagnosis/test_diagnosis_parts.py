@@ -115,6 +115,7 @@ def with_effects(*effects):
     return dataclasses.replace(DRIVE, drive=dataclasses.replace(DRIVE.drive, effects=effects))
 
 
+@pytest.mark.long
 def test_inverse_dynamics_know_the_effects_of_a_drive():
     log = simulate_log(with_effects(PUSHES), two_sines())
     right, wrong = (force_error(dataclasses.replace(DRIVE.drive, effects=one), log) for one in ((PUSHES,), ()))
@@ -210,6 +211,7 @@ def test_a_lag_shorter_than_a_thinned_sample_is_measured():
     assert complete(fitter, fit)
 
 
+@pytest.mark.long
 def test_the_withheld_machine_is_the_simulator_where_nothing_is_wrong():
     """Two programs, two integrators, one machine: without noise and on a fine scale they move alike."""
     plain = axis_of(resolution=None, noise=0.0)

@@ -52,6 +52,7 @@ def test_white_residuals_leave_the_curvatures_deviations():
     assert np.mean(deviations(fitted())) == pytest.approx(curved, rel=0.25)
 
 
+@pytest.mark.long
 def test_deviations_are_those_of_repeated_coloured_noise():
     estimates = []
     for seed in range(200):

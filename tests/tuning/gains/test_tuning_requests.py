@@ -54,6 +54,7 @@ def test_a_limit_in_newtons_is_that_limit_beside_one_relative_to_the_gains(axis)
     assert (limits.command_noise, limits.load_error) == (5.0, 100.0)
 
 
+@pytest.mark.long
 def test_nothing_is_relative_to_gains_with_which_the_loop_diverges(axis, monkeypatch):
     monkeypatch.setattr(setup, "run_scenario", lambda *_: judged(1e47, 1e30, "diverged"))
     found = set_up(axis, PLAN)

@@ -105,6 +105,7 @@ def test_the_bristle_is_seen_after_a_reversal(drive):
     np.testing.assert_allclose(forward.median, expected, atol=3.0)
 
 
+@pytest.mark.long
 def test_the_error_of_a_bin_is_that_of_its_passes(drive):
     """Passes with another friction each: the spread between them counts, not the number of samples."""
     rng = np.random.default_rng(0)

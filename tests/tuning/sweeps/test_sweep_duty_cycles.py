@@ -47,6 +47,7 @@ def rows(planned):
     return {name: np.array(column) for name, column in part_costs(planned, 0).to_pydict().items()}
 
 
+@pytest.mark.long
 def test_each_machine_has_the_errors_of_its_own_motion_under_its_own_load():
     planned = plan(settle=0.01, name="PD")
     told = rows(planned)

@@ -38,6 +38,7 @@ def rows(found):
     return found.to_table().sort_by([("machine", "ascending"), ("controller", "ascending")])
 
 
+@pytest.mark.long
 def test_a_sweep_has_a_row_for_each_machine_and_controller_on_the_same_machines(tmp_path):
     done = []
     found = rows(run_parts(plan(), tmp_path, done.append))
