@@ -1,3 +1,5 @@
+from .comparison.result import ComparisonResult
+from .comparison.workflow import compare
 from .diagnosis.workflow import Cause, DiagnosisResult, diagnose
 from .gains.notch import propose_notch
 from .gains.objective import Objective, register_aggregation
@@ -14,6 +16,7 @@ from .unknown_trace.workflow import StartResult, start
 __all__ = [
     "AsGiven",
     "Cause",
+    "ComparisonResult",
     "ControllerEstimate",
     "DiagnosisResult",
     "IdentificationResult",
@@ -24,6 +27,7 @@ __all__ = [
     "StartResult",
     "SweepResult",
     "TuningResult",
+    "compare",
     "diagnose",
     "identify",
     "identify_controller",

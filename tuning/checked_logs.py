@@ -41,6 +41,33 @@ def checked(axis: Axis, *groups: object, loads: Mapping[str, float] | None = Non
     `CheckedLogs` are left as they are, None is no logs. `loads` (N), by keys as `which_log` takes them, are what was on
     the table where a log does not say it. Raises `LogError`, and `ParameterError` for a load of no log or of several.
     """
+    found: list[CheckedLogs] = []
+    for group, logs in zip(groups, _read_groups(axis, groups, loads), strict=True):
+        if isinstance(group, CheckedLogs):
+            found.append(group)
+        elif logs:
+            found.append(check_logs(axis, logs, checked_before=[log for one in found for log in one.logs]))
+        else:
+            found.append(CheckedLogs((), ()))
+    return found
+
+
+def checked_apart(axis: Axis, *groups: object, loads: Mapping[str, float] | None = None) -> list[CheckedLogs]:
+    """`checked`, but each group looked over by itself: between two states of a machine a change is no contradiction.
+
+    Raises `LogError` for a log that is in two groups.
+    """
+    found: list[CheckedLogs] = []
+    for group, logs in zip(groups, _read_groups(axis, groups, loads), strict=True):
+        one = group if isinstance(group, CheckedLogs) else check_logs(axis, logs) if logs else CheckedLogs((), ())
+        before = [log for other in found for log in other.logs]
+        _require_different([log.name for log in one.logs], one.logs, before, None)
+        found.append(one)
+    return found
+
+
+def _read_groups(axis: Axis, groups: Sequence[object], loads: Mapping[str, float] | None) -> list[list[Log]]:
+    """The logs of each group with the loads that are given by log; none of one that was looked over, or is None."""
     require_axis(axis)
     read = [[] if group is None or isinstance(group, CheckedLogs) else _read(axis, group) for group in groups]
     paths = [path for group in read for path, _ in group]
@@ -50,18 +77,11 @@ def checked(axis: Axis, *groups: object, loads: Mapping[str, float] | None = Non
         if k in load_of:
             raise ParameterError(f"loads: {key!r}: {paths[k]} is given two loads, under two names")
         load_of[k] = load
-    found: list[CheckedLogs] = []
-    first = 0
-    for group, named in zip(groups, read, strict=True):
-        logs = [with_load(log, load_of.get(k)) for k, (_, log) in enumerate(named, start=first)]
+    with_loads, first = [], 0
+    for named in read:
+        with_loads.append([with_load(log, load_of.get(k)) for k, (_, log) in enumerate(named, start=first)])
         first += len(named)
-        if isinstance(group, CheckedLogs):
-            found.append(group)
-        elif logs:
-            found.append(check_logs(axis, logs, checked_before=[log for one in found for log in one.logs]))
-        else:
-            found.append(CheckedLogs((), ()))
-    return found
+    return with_loads
 
 
 def which_log(key: str, paths: Sequence[Path], where: str) -> int:

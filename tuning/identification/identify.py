@@ -37,7 +37,7 @@ from tuning.identification.refinement import (
 from tuning.identification.rivals import RivalValue, rival_values
 from tuning.identification.setup import build_problem
 from tuning.identification.uncertainty import Covariance, repetition_inflation
-from tuning.identification.unknowns import MULTIMODAL
+from tuning.identification.unknowns import MULTIMODAL, Unknowns
 from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, StepProgress, multistart, no_progress
 from tuning.optimisation.space import FreeParameter, SearchSpace
 from tuning.store.store import Store, digest
@@ -99,18 +99,20 @@ def identify(
     seed: int = 0,
     store: Store | None = None,
     progress: StepProgress = no_progress,
+    start: Unknowns | None = None,
 ) -> Identification:
     """Identify `drive` from `logs` of one machine (all at one rate), starting from what it says.
 
     `fixed` names parameters (as in the drive file) that stay, `bounded` those with bounds of their own. Loads must be
-    in the logs where they differ. Finished searches are kept in the `store`, and taken from there when the
+    in the logs where they differ. The first search starts from inverse dynamics, or from `start`, the answer of an
+    earlier fit with the same drive. Finished searches are kept in the `store`, and taken from there when the
     identification is begun again. Raises `LogError` where a log cannot be used and `ParameterError` for unknown names.
     """
     require_search(starts, seed)
     require_double_precision()
     check_drive(drive)
     require_coulomb_friction(drive, "identification")
-    setup = build_problem(logs, drive, fixed, bounded or {})
+    setup = build_problem(logs, drive, fixed, bounded or {}, start)
     problem, free, rate = setup.problem, setup.free, setup.rate
     coarse = Innovations(free, sampling_of(rate, COARSE_SUBSTEP), COARSE_EVERY)
     points, costs, stopped = _many_starts(coarse, problem, starts, seed, progress, store)

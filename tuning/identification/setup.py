@@ -19,7 +19,7 @@ from tuning.identification.problem import IdentificationProblem, lanes_of, noise
 from tuning.identification.ranges import free_space
 from tuning.identification.regressors import DIRECTIONAL
 from tuning.identification.seed import initial_drive
-from tuning.identification.unknowns import free_paths, unknowns_of
+from tuning.identification.unknowns import Unknowns, free_paths, unknowns_of
 from tuning.optimisation.space import FreeParameter
 
 SAME_RATE = 1e-4  # relative; clocks differ by less, and a fit does not see it
@@ -38,15 +38,22 @@ class IdentificationSetup(NamedTuple):
 
 
 def build_problem(
-    logs: Sequence[Log], drive: Drive, fixed: Sequence[str], bounded: Mapping[str, tuple[float, float]]
+    logs: Sequence[Log],
+    drive: Drive,
+    fixed: Sequence[str],
+    bounded: Mapping[str, tuple[float, float]],
+    start: Unknowns | None = None,
 ) -> IdentificationSetup:
-    """The identification problem of these logs; raises `LogError` and `ParameterError` where there is none."""
+    """The identification problem of these logs; raises `LogError` and `ParameterError` where there is none.
+
+    The search starts from what inverse dynamics finds, or from `start`.
+    """
     if drive.effects:
         names = ", ".join(effect.name for effect in drive.effects)
         raise ParameterError(f"identification does not know the drive file's effects ({names}): take them out")
     rate = _common_rate(logs)
     lanes = lanes_of(list(logs))
-    seeded, notes = _initial_drive(drive, logs)
+    seeded, notes = _initial_drive(drive, logs) if start is None else (drive, [])
     delay = drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
     if delay >= MAX_DELAY:
         raise ParameterError(
@@ -58,7 +65,7 @@ def build_problem(
     problem = IdentificationProblem(
         believed=drive,
         believed_unknowns=believed,
-        unknowns=unknowns_of(seeded, delay),
+        unknowns=unknowns_of(seeded, delay) if start is None else start,
         lanes=lanes,
         gains=constant_gains(_rough_bandwidth(drive, rate), noise, lanes, 1.0 / rate),
         origin=np.zeros(0),

@@ -24,6 +24,7 @@ from tuning.identification.parameters import without_side
 from tuning.identification.scale_noise import unstated_noise
 from tuning.identification.setup import held_unknowns
 from tuning.identification.shown_motion import Shortcoming
+from tuning.identification.unknowns import Unknowns
 from tuning.optimisation.least_squares import Outcome
 from tuning.progress import Progress, reporting, searching
 from tuning.store.folder import FolderStore
@@ -212,8 +213,12 @@ def identify_checked(
     seed: int,
     store: Store | None,
     progress: Progress,
+    start: Unknowns | None = None,
 ) -> IdentificationResult:
-    """`identify` from logs that were looked over, whatever was found in them; finished searches are in the `store`."""
+    """`identify` from logs that were looked over, whatever was found in them; finished searches are in the `store`.
+
+    The first search starts from `start`, the answer of an earlier fit of the same axis, if there is one.
+    """
     _require_no_effects(axis)
     seen = axis.as_logged()
     deficits = shortcomings(used.logs, seen.drive, held_unknowns(fixed))
@@ -222,6 +227,7 @@ def identify_checked(
     with searching(progress, "fitting friction, mass and delay") as step:
         found = fit_drive(
             fitted.logs, seen.drive, fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=step,
+            start=start,
         )  # fmt: skip
     return _result(axis, seen, found, fitted, others, deficits, parts.note)
 

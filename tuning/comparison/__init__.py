@@ -1,0 +1,1 @@
+"""What has changed between two sets of logs of one axis: machine, controller, and what two encoders see."""
