@@ -53,17 +53,11 @@ def checked(axis: Axis, *groups: object, loads: Mapping[str, float] | None = Non
 
 
 def checked_apart(axis: Axis, *groups: object, loads: Mapping[str, float] | None = None) -> list[CheckedLogs]:
-    """`checked`, but each group looked over by itself: between two states of a machine a change is no contradiction.
-
-    Raises `LogError` for a log that is in two groups.
-    """
-    found: list[CheckedLogs] = []
-    for group, logs in zip(groups, _read_groups(axis, groups, loads), strict=True):
-        one = group if isinstance(group, CheckedLogs) else check_logs(axis, logs) if logs else CheckedLogs((), ())
-        before = [log for other in found for log in other.logs]
-        _require_different([log.name for log in one.logs], one.logs, before, None)
-        found.append(one)
-    return found
+    """`checked`, but each group looked over by itself: between two states of a machine a change is no contradiction."""
+    return [
+        group if isinstance(group, CheckedLogs) else check_logs(axis, logs) if logs else CheckedLogs((), ())
+        for group, logs in zip(groups, _read_groups(axis, groups, loads), strict=True)
+    ]
 
 
 def _read_groups(axis: Axis, groups: Sequence[object], loads: Mapping[str, float] | None) -> list[list[Log]]:
@@ -132,7 +126,7 @@ def check_logs(
     for place, log in zip(labels, logs, strict=True):
         _require_rate(place, log, axis)
         _require_length(place, log)
-    _require_different(labels, logs, checked_before, None if files is None else [file.resolve() for file in files])
+    require_different(labels, logs, checked_before, None if files is None else [file.resolve() for file in files])
     found = [(log.name, finding) for log in logs for finding in examine(log, axis)]
     found += [
         (f"{len(checked_before) + len(logs)} logs", finding)
@@ -184,10 +178,10 @@ def _require_length(path: str, log: Log) -> None:
         )
 
 
-def _require_different(
-    paths: Sequence[str], logs: Sequence[Log], checked_before: Sequence[Log], files: Sequence[Path] | None
+def require_different(
+    paths: Sequence[str], logs: Sequence[Log], checked_before: Sequence[Log], files: Sequence[Path] | None = None
 ) -> None:
-    """A log that is given twice counts its noise twice, and held out it proves nothing."""
+    """Raise `LogError` for a log that is given twice: it counts its noise twice, and held out it proves nothing."""
     for k, (path, log) in enumerate(zip(paths, logs, strict=True)):
         if files is not None and files[k] in files[:k]:
             raise LogError(f"{path}: is given twice; give each log once")

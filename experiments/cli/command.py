@@ -1,7 +1,9 @@
-"""A command that computes."""
+"""Commands that compute."""
 
 import typer
 from typer.core import TyperCommand
+
+BETWEEN = "\0--"  # in the place of the -- between two lists of files; no argument of a command line holds a zero
 
 
 class Computing(TyperCommand):
@@ -12,3 +14,10 @@ class Computing(TyperCommand):
 
         configure()
         return super().invoke(ctx)
+
+
+class Comparing(Computing):
+    """A command of two lists of files with -- between them: options may stand after it, too."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # as above
+        return super().parse_args(ctx, [BETWEEN if one == "--" else one for one in args])

@@ -1,11 +1,12 @@
-"""The commands that take logs: start, check, identify, diagnose."""
+"""The commands that take logs: start, check, identify, compare, diagnose."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from experiments.cli.command import Computing
+from diffdrive.errors import ParameterError
+from experiments.cli.command import BETWEEN, Comparing, Computing
 from experiments.cli.options import (
     Columns,
     DriveOption,
@@ -168,6 +169,72 @@ def identify(
     )  # fmt: skip
     if not converged:
         raise typer.Exit(3)
+
+
+@logs.command(cls=Comparing)
+def compare(
+    log: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Logs of the axis before, then `--`, then logs of it after.",
+            metavar="BEFORE... -- AFTER...",
+            show_default=False,
+        ),
+    ],
+    drive: DriveOption,
+    out: Out = None,
+    column: Columns = None,
+    unit: Units = None,
+    shift: Shifts = None,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(help="A parameter that keeps the drive file's value, by its key there: `mass`; repeatable."),
+    ] = None,
+    load: Loads = None,
+    level: Annotated[
+        float,
+        typer.Option(
+            callback=finite,
+            help="Share of the comparisons of an unchanged axis in which a change may be found.",
+        ),
+    ] = 0.01,
+    starts: Annotated[int, typer.Option(callback=count_of, min=1, help="Number of searches of the logs before.")] = 6,
+    seed: Seed = 0,
+    force: Annotated[bool, typer.Option("--force", help="Compare in spite of fatal findings.")] = False,
+    svg: Svg = False,
+) -> None:
+    """Say what has changed between two sets of logs of one axis: friction, mass, controller gains, play.
+
+    Each change has one sentence and a 95 % interval; for the rest the smallest change is said that would have been
+    found. Lost preload (friction down, play up) is one sentence. The motions may differ; the same motion before and
+    after shows smaller changes. Play needs two encoders, and the controller's gains need the reference. Writes
+    comparison.json, the table and figure of all changes, and identified.toml, the axis as it is after. Ends with code
+    3 where the result is doubtful. Stopped or killed, the same command with the same --out continues where it was.
+
+    Example: `diffdrive compare monday1.csv monday2.csv -- today.csv --drive drive.toml --out changes`
+    """
+    before, after = _two_sets(log)
+
+    from experiments.reports.comparison import compare_logs
+
+    sure = compare_logs(
+        before, after, drive, out, columns=column or (), units=unit or (), shifts=shift or (), fixed=fix or (),
+        loads=load or (), level=level, starts=starts, seed=seed, force=force,
+    )  # fmt: skip
+    if not sure:
+        raise typer.Exit(3)
+
+
+def _two_sets(paths: list[Path]) -> tuple[list[Path], list[Path]]:
+    """The files before and after the `--`."""
+    places = [k for k, path in enumerate(paths) if str(path) == BETWEEN]
+    how = "write the logs before, then --, then those after: before.csv -- after.csv"
+    if len(places) != 1:
+        raise ParameterError(f"compare: {'no' if not places else 'more than one'} -- between the logs; {how}")
+    before, after = paths[: places[0]], paths[places[0] + 1 :]
+    if not (before and after):
+        raise ParameterError(f"compare: no log {'before' if not before else 'after'} the --; {how}")
+    return before, after
 
 
 @logs.command(cls=Computing)

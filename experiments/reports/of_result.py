@@ -10,6 +10,7 @@ from diffdrive.logs.encoders.result import EncoderComparison
 from diffdrive.loop.run import Run
 from diffdrive.measured_loop import FrequencyComparison
 from diffdrive.results import Result
+from experiments.reports.comparison import report_comparison_of_logs
 from experiments.reports.controller import report_controller
 from experiments.reports.diagnosis.figures import save_diagnosis_figures
 from experiments.reports.diagnosis.files import write_augmented, write_reference
@@ -22,6 +23,7 @@ from experiments.reports.simulation import write_simulation
 from experiments.reports.start import report_guesses
 from experiments.reports.sweep.sweep import introduce, report_sweep
 from experiments.reports.tuning import report_pareto, report_tuning
+from tuning.comparison.result import ComparisonResult
 from tuning.diagnosis.workflow import DiagnosisResult
 from tuning.gains.pareto import ParetoFront
 from tuning.gains.result import TuningResult
@@ -91,6 +93,11 @@ def _(result: FrequencyComparison, writer: Report) -> None:
 @section.register
 def _(result: IdentificationResult, writer: Report) -> None:
     report_identification(writer, result)
+
+
+@section.register
+def _(result: ComparisonResult, writer: Report) -> None:
+    report_comparison_of_logs(writer, result)
 
 
 @section.register

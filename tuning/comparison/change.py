@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from diffdrive.support.spans import format_span
 from tuning.comparison.changes import Interval
 
 PER_CENT = 100.0
@@ -39,11 +40,7 @@ class Change(NamedTuple):
     @property
     def by(self) -> str:
         """By how much, with the interval: `10.1 % (9.8 to 10.4)`."""
-        ends = sorted(abs(end) for end in (self.change.low, self.change.high))
-        if self.change.low < 0.0 < self.change.high:
-            ends = sorted(np.sign(self.change.value) * end for end in (self.change.low, self.change.high))
-        size, low, high = (self.factor * one for one in (abs(self.change.value), *ends))
-        return f"{size:.3g} {self.shown_unit} ({low:.3g} to {high:.3g})"
+        return sized(self.change, self.factor, self.shown_unit)
 
     @property
     def least(self) -> str:
@@ -59,6 +56,14 @@ class Change(NamedTuple):
     def factor(self) -> float:
         """From SI to it."""
         return PER_CENT if self.is_relative else {"m": 1e6, "m/N": 1e9, "m/m": 1e6}.get(self.unit, 1.0)
+
+
+def sized(change: Interval, factor: float, unit: str) -> str:
+    """The size of a change, with its interval, in another unit; below zero is then the other way."""
+    sign = factor if change.value >= 0.0 else -factor
+    low, high = sorted((sign * change.low, sign * change.high))
+    size, least, most = format_span((sign * change.value, low, high))
+    return f"{size} {unit} ({least} to {most})"
 
 
 def relative(logarithm: Interval) -> Interval:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tuning.comparison.change import Change, relative, sentence
+from tuning.comparison.change import Change, relative, sentence, sized
 from tuning.comparison.changes import Difference, Interval
 from tuning.comparison.controller import ControllerChanges
 from tuning.comparison.encoders import EncoderChanges
@@ -127,11 +127,10 @@ def findings_of(
 def _played(play: Interval, reversal: Change) -> str:
     """How the play has changed, by the reversal error."""
     verb = "rose" if play.value > 0 else "fell"
-    low, high = sorted(abs(1e6 * end) for end in (play.low, play.high))
     was, now = (f"{reversal.factor * one:.3g}" for one in (reversal.before, reversal.after))
     return (
-        f"the play {verb} by {abs(1e6 * play.value):.3g} um ({low:.3g} to {high:.3g}): the reversal error of motor "
-        f"against table went from {was} to {now} um"
+        f"the play {verb} by {sized(play, 1e6, 'um')}: the reversal error of motor against table went from {was} to "
+        f"{now} um"
     )
 
 

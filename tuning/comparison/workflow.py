@@ -7,7 +7,7 @@ from diffdrive.axis import Axis, require_axis
 from diffdrive.errors import ParameterError
 from diffdrive.logs.checks.finding import Finding as LogFinding
 from diffdrive.results import Status
-from tuning.checked_logs import CheckedLogs, checked_apart, require_sound
+from tuning.checked_logs import CheckedLogs, checked_apart, require_different, require_sound
 from tuning.comparison.controller import controller_changes, controllers_of
 from tuning.comparison.encoders import encoder_changes, encoders_of
 from tuning.comparison.findings import MASS, MachineChanges, findings_of, friction_change, limits, machine_changes
@@ -110,6 +110,7 @@ def compare_checked(
     """`compare` from logs that were looked over; finished searches are in the `store`."""
     if not (before.logs and after.logs):
         raise ParameterError(f"{'after' if before.logs else 'before'}: no log is given; give one or more")
+    require_different([log.name for log in after.logs], after.logs, before.logs)
     ambiguous = [] if force else [*_ambiguous(before), *_ambiguous(after)]
     controllers = controllers_of(before.logs, after.logs, known_rate(axis))
     encoders = encoders_of(axis, before.logs, after.logs)

@@ -37,8 +37,8 @@ def numbers(folder):
 def test_help_names_every_command():
     shown = run("--help").output
     commands = (
-        "demo simulate margins start check identify diagnose tune sweep replay convergence reproduce bench template "
-        "keys"
+        "demo simulate margins start check identify compare diagnose tune sweep replay convergence reproduce bench "
+        "template keys"
     )
     for command in commands.split():
         assert command in shown

@@ -96,7 +96,7 @@ def test_what_cannot_be_told_apart_is_not_decided():
     zero = Estimates(np.zeros(2), 0.5 * nearly, 1e9)
     # what a change of either by 0.05 looks like is not further from that of the other than their scatter
     difference = Difference(names, zero, zero._replace(values=np.array([0.035, -0.035])))
-    assert {one for one in difference.explanations(0.01)} == {("mass",), ("viscous",)}
+    assert set(difference.explanations(0.01)) == {("mass",), ("viscous",)}
 
 
 def test_no_change_is_named_as_rarely_as_the_level_says():

@@ -1,0 +1,132 @@
+"""What is said of a change: in one sentence, with its numbers, and of what is one thing in the workshop once."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diffdrive.logs.encoders.regression import Estimate
+from tuning.comparison.changes import Difference, Estimates
+from tuning.comparison.controller import ControllerChanges, ControllerSides, controller_changes
+from tuning.comparison.encoders import EncoderChanges, EncoderSides, encoder_changes
+from tuning.comparison.findings import findings_of, friction_change, limits, machine_changes
+from tuning.comparison.machine import Component, MachineDifference
+from tuning.identification.controller.gains import Parts
+
+COULOMB = "friction.coulomb_at_no_load"
+NO_GAINS, NO_SCREW = ControllerChanges((), (), ()), EncoderChanges((), None, ())
+LEVEL = 0.01
+MASS, FRICTION, OFFSET = 400.0, 300.0, 5.0
+
+
+def machine(mass=1.0, friction=1.0, offset=0.0, deviation=1e-3):
+    """A machine whose mass and friction change by factors, its constant force by newtons; all well known."""
+    before = np.array([np.log(MASS), np.log(FRICTION), np.log(FRICTION), OFFSET])
+    change = np.array([np.log(mass), np.log(friction), np.log(friction), offset])
+    covariance = deviation**2 * np.diag([1.0, 1.0, 1.0, FRICTION**2])
+    difference = Difference(
+        ("plant.mass", COULOMB, COULOMB, "plant.constant_force"),
+        Estimates(before, covariance, 100.0), Estimates(before + change, covariance, 100.0),
+    )  # fmt: skip
+    components = (
+        Component("plant.mass", "kg", True, (MASS, MASS * mass)),
+        Component(f"{COULOMB}.positive", "N", True, (FRICTION, FRICTION * friction)),
+        Component(f"{COULOMB}.negative", "N", True, (FRICTION, FRICTION * friction)),
+        Component("plant.constant_force", "N", False, (OFFSET, OFFSET + offset)),
+    )
+    return machine_changes(MachineDifference(components, difference, ()), LEVEL)
+
+
+def encoders(reversal, wind_up=(2e-6, 1e-6, 3e-6), reversals=20):
+    """What two encoders show of a reversal error (m), known to 0.1 um."""
+    error = Estimate(reversal, reversal - 1e-7, reversal + 1e-7)
+    return SimpleNamespace(
+        reversal_error=error, compliance=Estimate(4e-9, 3e-9, 5e-9), per_turn=None, linear=Estimate(0.0, -1e-6, 1e-6),
+        wind_up=Estimate(*wind_up), reversals=[None] * reversals,
+    )  # fmt: skip
+
+
+def screw(before, after, friction):
+    return encoder_changes(EncoderSides((encoders(before),), (encoders(after),), ()), friction, LEVEL)
+
+
+def sentences(found):
+    return [one.sentence for one in found]
+
+
+def test_a_payload_is_one_sentence_with_its_interval():
+    (found,) = findings_of(machine(mass=1.1), NO_GAINS, NO_SCREW)
+    assert found.code == "plant.mass"
+    assert found.sentence.startswith("the moving mass rose by 10.00 % (9.69 to 10.31), ")
+    assert found.sentence.endswith("from 400 to 440 kg: a payload, or a heavier table")
+
+
+def test_both_directions_of_friction_are_one_sentence():
+    (found,) = findings_of(machine(friction=0.9), NO_GAINS, NO_SCREW)
+    assert found.sentence.startswith("the Coulomb friction fell by 10.00 % (")
+    assert "forwards and by 10.00 % (" in found.sentence
+    assert found.sentence.endswith("backwards, from 300 and 300 to 270 and 270 N")
+
+
+def test_what_may_be_of_either_sign_changes_by_its_unit():
+    (found,) = findings_of(machine(offset=-8.0), NO_GAINS, NO_SCREW)
+    assert found.sentence.startswith("the constant force fell by 8.00 N (")
+    assert found.sentence.endswith("from 5 to -3 N")
+
+
+def test_no_change_has_no_sentence_but_a_limit():
+    same = machine()
+    assert findings_of(same, NO_GAINS, NO_SCREW) == ()
+    assert same.p_unchanged == 1.0
+    said = limits(same.changes)
+    assert said.startswith("nine in ten changes of this size would have been found: moving mass 2")
+    assert "Coulomb friction" in said
+    assert friction_change(same) == (0.0, 0.0, 0.0)
+
+
+def test_what_has_changed_has_no_limit():
+    assert "moving mass" not in limits(machine(mass=1.1).changes)
+
+
+def test_a_play_that_appears_is_found():
+    found = findings_of(machine(), NO_GAINS, screw(2e-6, 7e-6, friction_change(machine())))
+    assert sentences(found) == [
+        "the play rose by 5.00 um (4.86 to 5.14): the reversal error of motor against table went from 2 to 7 um"
+    ]
+
+
+def test_lost_preload_is_one_finding():
+    loosened = machine(friction=0.8)
+    (found,) = findings_of(loosened, NO_GAINS, screw(2e-6, 7e-6, friction_change(loosened)))
+    assert found.code == "lost preload"
+    assert found.sentence.startswith("lost preload: the Coulomb friction fell by 20.00 % (")
+    assert "and the play rose by 5.40 um (" in found.sentence  # 5 um, and 0.4 um that the wind-up has fallen
+
+
+def test_wind_up_under_more_friction_is_no_play():
+    """Reversal error 2 um, all of it wind-up or half: with twice the friction 3 to 4 um."""
+    tight = machine(friction=2.0)
+    found = findings_of(tight, NO_GAINS, screw(2e-6, 4e-6, friction_change(tight)))
+    assert {one.code for one in found} == {COULOMB, "encoders.reversal_error"}
+    assert found[-1].sentence.endswith("from 2 to 4 um, as the wind-up of the screw does under the changed friction")
+
+
+def test_of_two_encoders_on_one_side_alone_nothing_is_compared():
+    found = encoder_changes(EncoderSides((), (encoders(1e-6),), ("before: one encoder",)), (0.0, 0.0, 0.0), LEVEL)
+    assert found == EncoderChanges((), None, ("before: one encoder",))
+
+
+def controller(kp):
+    values = np.array([np.log(kp), np.log(1e5), 50.0, 1.0, 400.0, 0.0])
+    parts = Parts(values, np.diag([1e-5, 1e-5, 0.01, 1e-6, 1.0, 1e-10]), 20.0)
+    return SimpleNamespace(parts=parts)
+
+
+@pytest.mark.parametrize(("after", "verb"), [(45.0, "fell"), (55.0, "rose")])
+def test_a_changed_gain_is_one_sentence(after, verb):
+    gains = controller_changes(ControllerSides((controller(50.0),), (controller(after),), ()), LEVEL)
+    (said,) = gains.sentences
+    assert said.startswith(f"K_v {verb} by 10.00 % (")
+    assert said.endswith(f"from 50 to {after:g} 1/s")
+    (found,) = findings_of(machine(), gains, NO_SCREW)
+    assert found == ("controller.kp", said)
