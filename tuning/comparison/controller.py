@@ -10,19 +10,32 @@ from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from tuning.comparison.change import Change, relative
 from tuning.comparison.changes import CONFIDENCE, POWER, Interval
-from tuning.identification.controller.compare import Named, differences, differences_of, needed
+from tuning.identification.controller.compare import Difference, Named, differences, differences_of, needed
 from tuning.identification.controller.gains import Parts, pooled
 from tuning.identification.controller.workflow import LogController, of_log
 
-# as `PARTS` of the controller: path, label as in `Difference`, unit, whether the part is a logarithm
-GAINS = (
-    ("controller.kp", "K_v", "1/s", True),
-    ("controller.kv", "the velocity gain", "N*s/m", True),
-    ("controller.reset_rate", "the reset time", "1/s", False),
-    ("controller.velocity_feedforward", "the velocity feed-forward", "1", False),
-    ("controller.acceleration_feedforward", "the acceleration feed-forward", "kg", False),
-    ("controller.following_time", "the following error per speed", "s", False),
-)
+
+class _Part(NamedTuple):
+    """One of `PARTS` of a controller."""
+
+    path: str
+    name: str  # of its `Difference`
+    label: str
+    unit: str
+    is_logarithm: bool
+
+
+_PARTS = (
+    _Part("controller.kp", "K_v", "K_v", "1/s", True),
+    _Part("controller.kv", "the velocity gain", "the velocity gain", "N*s/m", True),
+    _Part("controller.reset_rate", "the reset time", "the inverse reset time", "1/s", False),
+    _Part("controller.velocity_feedforward", "the velocity feed-forward", "the velocity feed-forward", "1", False),
+    _Part(
+        "controller.acceleration_feedforward", "the acceleration feed-forward", "the acceleration feed-forward", "kg",
+        False,
+    ),
+    _Part("controller.following_time", "the following error per speed", "the following error per speed", "s", False),
+)  # fmt: skip
 
 
 class ControllerChanges(NamedTuple):
@@ -86,17 +99,15 @@ def controller_changes(sides: ControllerSides, level: float) -> ControllerChange
     one, other = (pooled([log.parts for log in side]) for side in (sides.before, sides.after))
     found = {difference.name: difference for difference in differences(one, other, ("before", "after"), level)}
     smallest = needed(one, other, level, 1.0 - POWER)
-    changes = tuple(_change(k, one, other, GAINS[k][1] in found, float(smallest[k])) for k in range(len(GAINS)))
+    changes = tuple(_change(k, one, other, _PARTS[k].name in found, float(smallest[k])) for k in range(len(_PARTS)))
     sentences = tuple(
-        _sentence(found[change.label].values, found[change.label].unit, change)
-        for change in changes
-        if change.has_changed
+        _sentence(found[part.name], change) for part, change in zip(_PARTS, changes, strict=True) if change.has_changed
     )
     return ControllerChanges(changes, sentences, sides.notes)
 
 
 def _change(k: int, one: Parts, other: Parts, has_changed: bool, smallest: float) -> Change:
-    path, label, unit, is_logarithm = GAINS[k]
+    path, _, label, unit, is_logarithm = _PARTS[k]
     value = float(other.values[k] - one.values[k])
     deviation = float(np.sqrt(one.covariance[k, k] + other.covariance[k, k]))
     half = float(student.ppf(0.5 + 0.5 * CONFIDENCE, min(one.freedom, other.freedom))) * deviation
@@ -106,8 +117,8 @@ def _change(k: int, one: Parts, other: Parts, has_changed: bool, smallest: float
     return Change(path, label, unit, *ends, interval, is_logarithm, has_changed, smallest)
 
 
-def _sentence(values: tuple[float, float], unit: str, change: Change) -> str:
-    was, now = (f"{value:.3g}" if np.isfinite(value) else "none" for value in values)
+def _sentence(found: Difference, change: Change) -> str:
+    was, now = (f"{value:.3g}" if np.isfinite(value) else "none" for value in found.values)
     by = f" by {change.by}" if change.is_relative else ""
-    verb = "rose" if values[1] > values[0] else "fell"
-    return f"{change.label} {verb}{by}, from {was} to {now}{unit}"
+    verb = "rose" if found.values[1] > found.values[0] else "fell"
+    return f"{found.name} {verb}{by}, from {was} to {now}{found.unit}"

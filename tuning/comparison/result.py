@@ -61,11 +61,11 @@ class ComparisonResult(Result):
         return prefix + "; ".join(finding.sentence for finding in self.findings)
 
     def summary(self) -> str:
-        rows = [f"{'compared':<44}{'unit':<8}{'before':>12}{'after':>12}  change, 95 % interval"]
+        rows = [f"{'compared':<37}{'unit':<8}{'before':>12}{'after':>12}  change, 95 % interval"]
         for one in self.changes:
             mark = " *" if one.has_changed else ""
             low, high = one.factor * one.change.low, one.factor * one.change.high
-            named = f"{one.path:<44}{'-' if one.unit == '1' else one.unit.replace('*', ' '):<8}"
+            named = f"{one.path:<37}{'-' if one.unit == '1' else one.unit.replace('*', ' '):<8}"
             interval = f"{low:+.3g} to {high:+.3g} {one.shown_unit}"
             rows.append(f"{named}{one.before:>12.4g}{one.after:>12.4g}  {interval}{mark}")
         said = [finding.sentence for finding in self.findings] or ["no change found"]

@@ -80,10 +80,10 @@ def compare(
     require_level(level)
     require_axis(axis)
     first, second = checked_apart(axis, before, after, loads=loads)
-    with reporting(progress) as tell:
+    with reporting(progress) as advance:
         result = compare_checked(
             axis, first, second, fixed=fixed, level=level, starts=starts, seed=seed, force=force,
-            store=FolderStore.of(resume), progress=tell,
+            store=FolderStore.of(resume), progress=advance,
         )  # fmt: skip
     return result.require_ok() if throw else result
 
@@ -180,11 +180,11 @@ def _open(found: MachineDifference) -> list[str]:
 
 
 def _incomplete(was: IdentificationResult, now: IdentificationResult) -> list[str]:
-    lacking = [name for name, side in (("before", was), ("after", now)) if side.fit.adequacy.has_structure]
-    if not lacking:
+    incomplete = [name for name, side in (("before", was), ("after", now)) if side.fit.adequacy.has_structure]
+    if not incomplete:
         return []
     return [
-        f"the model does not explain all of the logs {' and '.join(lacking)}: the intervals hold what varies along "
+        f"the model does not explain all of the logs {' and '.join(incomplete)}: the intervals hold what varies along "
         "them, not what one motion shows and another does not; logs of one motion before and after are compared best"
     ]
 
