@@ -3,7 +3,7 @@
 import typer
 from typer.core import TyperCommand
 
-BETWEEN = "\0--"  # in the place of the -- between two lists of files; no argument of a command line holds a zero
+BETWEEN = "\x1f--"  # in the place of the -- between two lists of files: no file begins with that control character
 
 
 class Computing(TyperCommand):

@@ -107,7 +107,8 @@ def _estimates(found: Identification, paths: Sequence[str]) -> Estimates:
     again = repetition_inflation(
         fit.innovation / np.asarray(fit.problem.gains.innovation_std), fit.residuals.sampling.rate
     )
-    freedom = max(3.0, float(fit.covariance.blocks - len(fit.covariance.matrix)))
+    # the scores of the blocks sum to zero; what the parameters take of them, the covariance allows for (`sandwich`)
+    freedom = max(3.0, fit.covariance.blocks - 1.0)
     return Estimates(np.asarray(compared(theta)), again * slope @ fit.covariance.matrix @ slope.T, freedom)
 
 

@@ -126,7 +126,7 @@ def controller(kp):
 def test_a_changed_gain_is_one_sentence(after, verb):
     gains = controller_changes(ControllerSides((controller(50.0),), (controller(after),), ()), LEVEL)
     (said,) = gains.sentences
-    assert said.startswith(f"K_v {verb} by 10.00 % (")
+    assert said.startswith(f"K_v {verb} by 10.0")
     assert said.endswith(f"from 50 to {after:g} 1/s")
     (found,) = findings_of(machine(), gains, NO_SCREW)
     assert found == ("controller.kp", said)
