@@ -39,6 +39,7 @@ class RefinedFit(NamedTuple):
     problem: IdentificationProblem
     search: LeastSquaresResult
     covariance: Covariance
+    slope: Float[np.ndarray, "m k"]  # derivative of the residuals by theta
     innovation: Float[np.ndarray, "lanes n"]  # m; zero where nothing was measured
     velocity: Float[np.ndarray, "lanes n"]  # m/s
     process_force: float = np.inf  # N
@@ -57,10 +58,10 @@ def refine(
     the model `TRUST` times more than the filter would, as long as that makes the log likelier.
     """
     rough = search_once(fine, theta, problem, progress, ROUGH_GAIN, MAX_ROUGH_STEPS, store)
-    if was_interrupted(rough.search):
-        return rough._replace(process_force=float(PROCESS_FORCES[-1]), steps=rough.search.steps)
-    fit = _alternate(fine, rough.search.theta, problem, noise, progress, ROUGH_GAIN, store)
-    return fit._replace(steps=rough.search.steps + fit.steps)
+    if was_interrupted(rough):
+        return fit_at(fine, problem, rough)._replace(process_force=float(PROCESS_FORCES[-1]), steps=rough.steps)
+    fit = _alternate(fine, rough.theta, problem, noise, progress, ROUGH_GAIN, store)
+    return fit._replace(steps=rough.steps + fit.steps)
 
 
 def refine_substeps(fit: RefinedFit, noise: float, progress: StepProgress, store: Store | None = None) -> RefinedFit:
@@ -88,9 +89,8 @@ def _by_chords(finest: Innovations, fit: RefinedFit, progress: StepProgress) -> 
     method). A Jacobian at the fine steps would cost as much as a dozen chords.
     """
     arrays, theta = as_arrays(fit.problem), fit.search.theta
-    _, slope = (np.asarray(array) for array in linearised(fit.residuals, jnp.asarray(theta), arrays))
     errors = np.sqrt(np.diag(fit.covariance.matrix))
-    orthogonal, triangle = np.linalg.qr(slope * errors)
+    orthogonal, triangle = np.linalg.qr(fit.slope * errors)
     distance = np.inf
     try:
         for count in range(1, MAX_CHORDS + 1):
@@ -108,9 +108,10 @@ def _by_chords(finest: Innovations, fit: RefinedFit, progress: StepProgress) -> 
         else:
             return None
     except KeyboardInterrupt:
-        return _ended(fit, Outcome.INTERRUPTED, f"interrupted after {fit.search.steps} steps")
+        ended = _ended(fit.search, Outcome.INTERRUPTED, f"interrupted after {fit.search.steps} steps")
+        return fit._replace(search=ended)
     search = dataclasses.replace(fit.search, theta=theta, cost=float(np.linalg.norm(value)))
-    covariance = _sandwich_of(value, slope, fit.problem, finest.sampling.rate)
+    covariance = _sandwich_of(value, fit.slope, fit.problem, finest.sampling.rate)
     predicted = predict_at(finest, jnp.asarray(theta), arrays)
     innovation = np.asarray(predicted.innovation) * np.asarray(fit.problem.lanes.counts)
     return fit._replace(
@@ -129,7 +130,8 @@ def _alternate(
     store: Store | None,
 ) -> RefinedFit:
     """Searches under the filter's gains and gains at the search's end, as long as the log becomes likelier."""
-    best, final, steps, trust = _most_likely_at(fine, theta, problem, noise), None, 0, TRUST
+    best, steps, trust = _most_likely_at(fine, theta, problem, noise), 0, TRUST
+    final: tuple[IdentificationProblem, LeastSquaresResult] | None = None
     for _ in range(MAX_ROUNDS):
         process = max(best.process_force / trust, float(PROCESS_FORCES[0]))
         gains = best.filter_result.gains
@@ -138,29 +140,30 @@ def _alternate(
                 *_drive_and_delay(fine, theta, problem), process, noise, problem.lanes, fine.sampling
             ).gains
         filtered = problem._replace(gains=jax.tree.map(np.asarray, gains))
-        fit = search_once(fine, theta, filtered, progress, min_gain, store=store)
-        new, steps = _most_likely_at(fine, fit.search.theta, problem, noise), steps + fit.search.steps
+        search = search_once(fine, theta, filtered, progress, min_gain, store=store)
+        new, steps = _most_likely_at(fine, search.theta, problem, noise), steps + search.steps
         likelier = new.deviance < best.deviance - MIN_DEVIANCE_GAIN
         if likelier:
-            theta, best = fit.search.theta, new
+            theta, best = search.theta, new
         if likelier or process == best.process_force or final is None:
-            final = fit  # in the end the one whose gains are those of the likeliest process
-        if was_interrupted(fit.search):
-            final = _ended(final, fit.search.outcome, fit.search.status)
+            final = filtered, search  # in the end the one whose gains are those of the likeliest process
+        if was_interrupted(search):
+            final = final[0], _ended(final[1], search.outcome, search.status)
             break
         if not likelier and process == best.process_force:
             break
         if not likelier:
             trust = 1.0  # it was too bold: not again
     else:
-        final = _ended(final, Outcome.STOPPED, f"stopped after {MAX_ROUNDS} rounds of filtering")
+        assert final is not None  # no round passes without one
+        final = final[0], _ended(final[1], Outcome.STOPPED, f"stopped after {MAX_ROUNDS} rounds of filtering")
     assert final is not None
-    return final._replace(process_force=best.process_force, deviance_gain=best.deviance_gain, steps=steps)
+    fit = fit_at(fine, *final)
+    return fit._replace(process_force=best.process_force, deviance_gain=best.deviance_gain, steps=steps)
 
 
-def _ended(fit: RefinedFit | None, outcome: Outcome, status: str) -> RefinedFit:
-    assert fit is not None  # no round passes without one
-    return fit._replace(search=dataclasses.replace(fit.search, outcome=outcome, status=status))
+def _ended(search: LeastSquaresResult, outcome: Outcome, status: str) -> LeastSquaresResult:
+    return dataclasses.replace(search, outcome=outcome, status=status)
 
 
 def was_interrupted(search: LeastSquaresResult) -> bool:
@@ -189,7 +192,7 @@ def search_once(
     min_gain: float,
     max_steps: int = MAX_STEPS,
     store: Store | None = None,
-) -> RefinedFit:
+) -> LeastSquaresResult:
     """One search under given gains; a finished one is kept in the `store`, or taken from there."""
     arrays = as_arrays(problem)
     key = "" if store is None else digest("searched", fine, theta, problem, min_gain, max_steps)
@@ -208,12 +211,17 @@ def search_once(
         except KeyboardInterrupt:  # as in the search itself
             status = f"interrupted after {search.steps} steps"
             search = dataclasses.replace(search, outcome=Outcome.INTERRUPTED, status=status)
-    predicted, covariance = (
-        predict_at(fine, jnp.asarray(search.theta), arrays),
-        _covariance(fine, search.theta, problem),
-    )
+    return search
+
+
+def fit_at(fine: Innovations, problem: IdentificationProblem, search: LeastSquaresResult) -> RefinedFit:
+    """What a search that has ended leaves, and how sure its point is: one more Jacobian."""
+    theta, arrays = jnp.asarray(search.theta), as_arrays(problem)
+    value, slope = (np.asarray(array) for array in linearised(fine, theta, arrays))
+    predicted = predict_at(fine, theta, arrays)
     innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
-    return RefinedFit(fine, problem, search, covariance, innovation, np.asarray(predicted.velocity))
+    covariance = _sandwich_of(value, slope, problem, fine.sampling.rate)
+    return RefinedFit(fine, problem, search, covariance, slope, innovation, np.asarray(predicted.velocity))
 
 
 @eqx.filter_jit
@@ -238,11 +246,6 @@ def linearised(
 def residuals_at(fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
     """The residuals at theta, compiled."""
     return fine(theta, problem)
-
-
-def _covariance(fine: Innovations, theta: Float[np.ndarray, " k"], problem: IdentificationProblem) -> Covariance:
-    value, slope = (np.asarray(array) for array in linearised(fine, jnp.asarray(theta), as_arrays(problem)))
-    return _sandwich_of(value, slope, problem, fine.sampling.rate)
 
 
 def _sandwich_of(

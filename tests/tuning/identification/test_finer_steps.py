@@ -11,7 +11,7 @@ from diffdrive.model.parameters import Sampling
 from experiments.studies.recovery.truth import truth_log
 from tests.support.known_machine import BELIEVED, GAINS, MACHINE, RATE
 from tuning.identification.problem import Innovations
-from tuning.identification.refinement import FINE_GAIN, SETTLED, _by_chords, search_once
+from tuning.identification.refinement import FINE_GAIN, SETTLED, _by_chords, fit_at, search_once
 from tuning.identification.setup import build_problem
 from tuning.optimisation.least_squares import Outcome, no_progress
 
@@ -24,17 +24,17 @@ def coarse_fit():
     lap = motion.sine(amplitude=4e-3, frequency=2.0, duration=1.0, rate=RATE)
     setup = build_problem([truth_log(MACHINE, GAINS, lap, 0.0, seed=5)], BELIEVED, HELD, {})
     residuals = Innovations(setup.free, Sampling(RATE, 2))
-    return search_once(residuals, np.zeros(len(setup.free)), setup.problem, no_progress, FINE_GAIN)
+    search = search_once(residuals, np.zeros(len(setup.free)), setup.problem, no_progress, FINE_GAIN)
+    return fit_at(residuals, setup.problem, search)
 
 
 @pytest.mark.long
 def test_chords_end_where_a_search_with_its_own_jacobian_ends():
     fit = coarse_fit()
     finest = dataclasses.replace(fit.residuals, sampling=Sampling(RATE, 8))
-    found, searched = (
-        _by_chords(finest, fit, no_progress),
-        search_once(finest, fit.search.theta, fit.problem, no_progress, FINE_GAIN),
-    )
+    found = _by_chords(finest, fit, no_progress)
+    search = search_once(finest, fit.search.theta, fit.problem, no_progress, FINE_GAIN)
+    searched = fit_at(finest, fit.problem, search)
     assert found is not None
     errors = np.sqrt(np.diag(fit.covariance.matrix))
     moved = np.max(np.abs(searched.search.theta - fit.search.theta) / errors)
