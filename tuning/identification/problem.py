@@ -100,19 +100,19 @@ class Innovations:
         unknowns = SearchSpace(self.free, problem.origin).insert(problem.unknowns, theta)
         return unknowns.drive(problem.believed), unknowns
 
-    def predict(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
-        """What the drive at theta predicts."""
+    def evaluate(
+        self, theta: Float[Array, " k"], problem: IdentificationProblem
+    ) -> tuple[Float[Array, " m"], Prediction]:
+        """The residuals at theta, and what they are made of."""
         drive, unknowns = self.unpack(theta, problem)
-        return predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling)
+        predicted = predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling)
+        weighed = predicted.innovation * problem.lanes.counts / problem.gains.innovation_std
+        weighed = weighed[:, :: self.stride] * np.sqrt(self.stride)
+        symmetry = departure_from_symmetry(unknowns, problem.believed_unknowns)
+        return jnp.concatenate([weighed.ravel(), problem.prior * theta, symmetry]), predicted
 
     def __call__(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
-        drive, unknowns = self.unpack(theta, problem)
-        innovation = predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling).innovation
-        weighed = (innovation * problem.lanes.counts / problem.gains.innovation_std)[:, :: self.stride] * np.sqrt(
-            self.stride
-        )
-        symmetry = departure_from_symmetry(unknowns, problem.believed_unknowns)
-        return jnp.concatenate([weighed.ravel(), problem.prior * theta, symmetry])
+        return self.evaluate(theta, problem)[0]
 
 
 def sampling_of(rate: float, substep: float) -> Sampling:
