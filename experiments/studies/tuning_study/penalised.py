@@ -15,60 +15,19 @@ from typing import Any, cast
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx  # type: ignore[import-untyped]
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from diffdrive.numerics.arrays import Scalar
 from experiments.studies.tuning_study.baselines import BaselineResult, BaselineVisit
 from tuning.gains.constrained import PENALTY, ConstrainedGains, DesignPoint, TuningProblem, evaluate
 from tuning.gains.sequential import FEASIBILITY_TOLERANCE
 from tuning.optimisation.evolution import Budget
-from tuning.optimisation.least_squares import Residuals, Theta
+from tuning.optimisation.least_squares import LevenbergMarquardt, Residuals, with_jacobian
 
 TOLERANCE = 1e-6
 NO_TAGS: frozenset[object] = frozenset()
-
-
-class LevenbergMarquardt(optx.AbstractGaussNewton[Array, Array, None]):
-    """optimistix's, but its damping falls tenfold after each step that goes at least half as well as foreseen.
-
-    The stock one waits for steps that go 99 % as well, which a simulation of friction hardly ever grants.
-    """
-
-    rtol: float
-    atol: float
-    norm: Callable[[PyTree], Array] = optx.max_norm
-    descent: optx.DampedNewtonDescent[Array] = optx.DampedNewtonDescent(linear_solver=lx.QR())
-    search: optx.ClassicalTrustRegion[Array] = optx.ClassicalTrustRegion(
-        high_cutoff=0.5, low_cutoff=0.01, high_constant=10.0, low_constant=0.1
-    )
-    verbose: Callable[..., None] = eqx.field(static=True, default=lambda **_: None)
-
-
-def with_jacobian(residuals: Residuals) -> Residuals:
-    """The same residuals, whose derivative is one forward pass for all parameters at once, alongside the value.
-
-    A solver that linearises them keeps the Jacobian, [m, k], in place of every intermediate of the simulation, and pays
-    for one pass in place of three.
-    """
-
-    @jax.custom_jvp
-    def value(theta: Theta, args: PyTree) -> Float[Array, " m"]:
-        return residuals(theta, args)
-
-    @value.defjvp
-    def both(primals: tuple[Theta, PyTree], tangents: tuple[Theta, PyTree]) -> tuple[Array, Array]:
-        theta, args = primals
-
-        def along(direction: Theta) -> tuple[Array, Array]:
-            return jax.jvp(lambda theta: residuals(theta, args), (theta,), (direction,))
-
-        found, columns = jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(theta)))
-        return found, tangents[0] @ columns
-
-    return value
 
 
 @dataclass(frozen=True)

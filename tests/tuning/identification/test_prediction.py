@@ -23,13 +23,12 @@ from diffdrive.model.quantity import Directional
 from diffdrive.motion import load
 from diffdrive.numerics.arrays import as_arrays
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
-from experiments.studies.tuning_study.penalised import with_jacobian
 from tests.support.asymmetric_drive import ASYMMETRIC
 from tuning.identification.filter_gain import PROCESS_FORCES, filter_lanes, most_likely
 from tuning.identification.prediction import Lanes, constant_gains, delayed, predict
 from tuning.identification.problem import IdentificationProblem, Innovations, lanes_of, sampling_of
 from tuning.identification.unknowns import default_bounds, free_paths, unknowns_of
-from tuning.optimisation.least_squares import linearised
+from tuning.optimisation.least_squares import linearised, with_jacobian
 from tuning.optimisation.space import search_space
 
 RATE = 4_000.0

@@ -11,9 +11,9 @@ from diffdrive.controllers.base import PDGains
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.model.parameters import Plant
 from diffdrive.numerics.arrays import as_arrays
-from experiments.studies.tuning_study.penalised import LevenbergMarquardt
 from tuning.optimisation.least_squares import (
     START_NORM,
+    LevenbergMarquardt,
     Outcome,
     _triangle,
     levenberg_marquardt,
