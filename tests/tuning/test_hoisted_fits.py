@@ -70,7 +70,7 @@ def test_the_identification(compiled):
     levenberg_marquardt(residuals, np.zeros(len(residuals.free)), problem, max_steps=1, tolerance=1e-3)
     multistart(residuals, np.zeros((3, len(residuals.free))), problem, steps=1)
     replay_closed_loop(axis(), CONTROLLERS["pd"], logged(axis(), CONTROLLERS["pd"]), LOGGED)
-    assert_native(compiled, "_deviances", "run_filter", "_linearise", "_linearised_lanes", "replay")
+    assert_native(compiled, "_deviances", "run_filter", "_step", "_step_lanes", "replay")
 
 
 @pytest.mark.long

@@ -31,9 +31,8 @@ from tuning.identification.identify import UNDETERMINED, Identification
 from tuning.identification.parameters import axis_path
 from tuning.identification.prediction import Lanes
 from tuning.identification.problem import IdentificationProblem
-from tuning.identification.refinement import RefinedFit
+from tuning.identification.refinement import RefinedFit, linearised
 from tuning.identification.uncertainty import LEVEL
-from tuning.optimisation.least_squares import linearised
 
 DURATION = 3.0  # s, of each candidate
 CLEARANCE = 1e-3  # m, from the ends of the axis

@@ -116,10 +116,11 @@ class MostLikely(NamedTuple):
     deviance_gain: (
         float  # how much smaller the deviance is than with no process force; above 10 or so the model lacks something
     )
+    filter_result: FilterResult
 
 
 def most_likely(drive: Drive, delay: Scalar, noise: float, lanes: Lanes, sampling: Sampling) -> MostLikely:
-    """The likeliest of `PROCESS_FORCES`.
+    """Filter the lanes under the likeliest of `PROCESS_FORCES`.
 
     The innovations' scale is free in the likelihood: only the ratio of process and measuring noise is at stake.
     """
@@ -128,7 +129,9 @@ def most_likely(drive: Drive, delay: Scalar, noise: float, lanes: Lanes, samplin
     )
     found = np.where(np.isfinite(deviances), deviances, np.inf)
     best = int(np.argmin(found)) if np.isfinite(found).any() else len(found) - 1
-    return MostLikely(float(PROCESS_FORCES[best]), float(found[best]), float(found[0] - found[best]))
+    process = float(PROCESS_FORCES[best])
+    gains = filter_lanes(drive, delay, process, noise, lanes, sampling)
+    return MostLikely(process, float(found[best]), float(found[0] - found[best]), gains)
 
 
 def filter_lanes(

@@ -100,19 +100,19 @@ class Innovations:
         unknowns = SearchSpace(self.free, problem.origin).insert(problem.unknowns, theta)
         return unknowns.drive(problem.believed), unknowns
 
-    def evaluate(
-        self, theta: Float[Array, " k"], problem: IdentificationProblem
-    ) -> tuple[Float[Array, " m"], Prediction]:
-        """The residuals at theta, and what they are made of."""
+    def predict(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
+        """What the drive at theta predicts."""
         drive, unknowns = self.unpack(theta, problem)
-        predicted = predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling)
-        weighed = predicted.innovation * problem.lanes.counts / problem.gains.innovation_std
-        weighed = weighed[:, :: self.stride] * np.sqrt(self.stride)
-        symmetry = departure_from_symmetry(unknowns, problem.believed_unknowns)
-        return jnp.concatenate([weighed.ravel(), problem.prior * theta, symmetry]), predicted
+        return predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling)
 
     def __call__(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
-        return self.evaluate(theta, problem)[0]
+        drive, unknowns = self.unpack(theta, problem)
+        innovation = predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling).innovation
+        weighed = (innovation * problem.lanes.counts / problem.gains.innovation_std)[:, :: self.stride] * np.sqrt(
+            self.stride
+        )
+        symmetry = departure_from_symmetry(unknowns, problem.believed_unknowns)
+        return jnp.concatenate([weighed.ravel(), problem.prior * theta, symmetry])
 
 
 def sampling_of(rate: float, substep: float) -> Sampling:

@@ -18,7 +18,7 @@ from tuning.identification.prediction import Prediction
 from tuning.identification.problem import FINEST_SUBSTEP, IdentificationProblem, Innovations, sampling_of
 from tuning.identification.uncertainty import Covariance, sandwich
 from tuning.identification.unknowns import value_at, with_value
-from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, StepProgress, levenberg_marquardt, linearised
+from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, StepProgress, levenberg_marquardt
 from tuning.store.store import Store, digest
 
 MAX_STEPS, MAX_ROUGH_STEPS = 40, 80  # of each search
@@ -27,7 +27,6 @@ TRUST = 10.0
 MIN_DEVIANCE_GAIN = 1.0  # in deviance, twice the logarithm of the likelihood
 TOLERANCE = 1e-6
 ROUGH_GAIN, FINE_GAIN = 1e-5, 1e-7  # share of the cost that three steps of a search must gain to be worth going on
-OFFSET = 1e-3  # of a search's end: with 15 parameters a thousandth of an interval at most (`relative_offset`)
 INTEGRATOR_ERROR = 1e-2  # N of process force: what steps of `FINE_SUBSTEP` look like to the filter, and more
 MAX_CHORDS, SETTLED = 6, 0.01  # steps at a quarter of the substep, and of a standard error, from which on it stays
 SMOOTHING, SETTLING = 0.02, 0.1  # s
@@ -95,8 +94,7 @@ def _by_chords(finest: Innovations, fit: RefinedFit, progress: StepProgress) -> 
     distance = np.inf
     try:
         for count in range(1, MAX_CHORDS + 1):
-            residual, predicted = evaluated(finest, jnp.asarray(theta), arrays)
-            value = np.asarray(residual)
+            value = np.asarray(residuals_at(finest, jnp.asarray(theta), arrays))
             if not np.isfinite(value).all():
                 return None
             progress(count, MAX_CHORDS, float(np.linalg.norm(value)))
@@ -114,6 +112,7 @@ def _by_chords(finest: Innovations, fit: RefinedFit, progress: StepProgress) -> 
         return fit._replace(search=ended)
     search = dataclasses.replace(fit.search, theta=theta, cost=float(np.linalg.norm(value)))
     covariance = _sandwich_of(value, fit.slope, fit.problem, finest.sampling.rate)
+    predicted = predict_at(finest, jnp.asarray(theta), arrays)
     innovation = np.asarray(predicted.innovation) * np.asarray(fit.problem.lanes.counts)
     return fit._replace(
         residuals=finest, search=search, covariance=covariance, innovation=innovation,
@@ -135,13 +134,14 @@ def _alternate(
     final: tuple[IdentificationProblem, LeastSquaresResult] | None = None
     for _ in range(MAX_ROUNDS):
         process = max(best.process_force / trust, float(PROCESS_FORCES[0]))
-        at = _drive_and_delay(fine, theta, problem)
-        gains = filter_lanes(*at, process, noise, problem.lanes, fine.sampling).gains
+        gains = best.filter_result.gains
+        if process != best.process_force:
+            gains = filter_lanes(
+                *_drive_and_delay(fine, theta, problem), process, noise, problem.lanes, fine.sampling
+            ).gains
         filtered = problem._replace(gains=jax.tree.map(np.asarray, gains))
         search = search_once(fine, theta, filtered, progress, min_gain, store=store)
-        steps += search.steps
-        moved = not np.array_equal(search.theta, theta)
-        new = _most_likely_at(fine, search.theta, problem, noise) if moved else best
+        new, steps = _most_likely_at(fine, search.theta, problem, noise), steps + search.steps
         likelier = new.deviance < best.deviance - MIN_DEVIANCE_GAIN
         if likelier:
             theta, best = search.theta, new
@@ -199,9 +199,8 @@ def search_once(
     stored = None if store is None else store.read(key)
     if stored is None:
         search = levenberg_marquardt(
-            fine, theta, arrays, max_steps=max_steps, tolerance=TOLERANCE, min_gain=min_gain, min_offset=OFFSET,
-            progress=progress,
-        )  # fmt: skip
+            fine, theta, arrays, max_steps=max_steps, tolerance=TOLERANCE, min_gain=min_gain, progress=progress
+        )
         if store is not None and not was_interrupted(search):
             store.write(key, {name: np.asarray(array) for name, array in dataclasses.asdict(search).items()})
     else:
@@ -219,18 +218,34 @@ def fit_at(fine: Innovations, problem: IdentificationProblem, search: LeastSquar
     """What a search that has ended leaves, and how sure its point is: one more Jacobian."""
     theta, arrays = jnp.asarray(search.theta), as_arrays(problem)
     value, slope = (np.asarray(array) for array in linearised(fine, theta, arrays))
-    _, predicted = evaluated(fine, theta, arrays)
+    predicted = predict_at(fine, theta, arrays)
     innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
     covariance = _sandwich_of(value, slope, problem, fine.sampling.rate)
     return RefinedFit(fine, problem, search, covariance, slope, innovation, np.asarray(predicted.velocity))
 
 
 @eqx.filter_jit
-def evaluated(
+def predict_at(fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
+    """What the drive at theta predicts, compiled."""
+    return fine.predict(theta, problem)
+
+
+@eqx.filter_jit
+def linearised(
     fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem
-) -> tuple[Float[Array, " m"], Prediction]:
-    """The residuals at theta and what the drive there predicts, compiled."""
-    return fine.evaluate(theta, problem)
+) -> tuple[Float[Array, " m"], Float[Array, "m k"]]:
+    """The residuals at theta, [m], and their derivative, [m, k]."""
+
+    def along(direction: Float[Array, " k"]) -> tuple[Array, Array]:
+        return jax.jvp(lambda theta: fine(theta, problem), (theta,), (direction,))
+
+    return jax.vmap(along, out_axes=(None, 1))(jnp.eye(len(theta)))
+
+
+@eqx.filter_jit
+def residuals_at(fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
+    """The residuals at theta, compiled."""
+    return fine(theta, problem)
 
 
 def _sandwich_of(

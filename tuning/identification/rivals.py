@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from diffdrive.numerics.arrays import as_arrays
 from tuning.identification.estimates import reported_parameters, symmetric_bristle
-from tuning.identification.refinement import OFFSET, ROUGH_GAIN, TOLERANCE, RefinedFit, evaluated
+from tuning.identification.refinement import ROUGH_GAIN, TOLERANCE, RefinedFit, predict_at
 from tuning.identification.uncertainty import BLOCK
 from tuning.optimisation.least_squares import Outcome, StepProgress, levenberg_marquardt
 
@@ -77,9 +77,8 @@ def rival_values(
         return ()
     residuals, arrays = fit.residuals, as_arrays(fit.problem)
     search = levenberg_marquardt(
-        residuals, start, arrays, max_steps=STEPS, tolerance=TOLERANCE, min_gain=ROUGH_GAIN, min_offset=OFFSET,
-        progress=progress,
-    )  # fmt: skip
+        residuals, start, arrays, max_steps=STEPS, tolerance=TOLERANCE, min_gain=ROUGH_GAIN, progress=progress
+    )
     moved = np.abs(search.theta - fit.search.theta)
     # two answers within their intervals are one
     allowed = np.sqrt(2.0) * fit.covariance.quantile * np.sqrt(np.diag(fit.covariance.matrix))
@@ -88,7 +87,7 @@ def rival_values(
     if search.outcome is Outcome.INTERRUPTED or not apart:
         return ()
     scale = np.asarray(fit.problem.lanes.counts) / np.asarray(fit.problem.gains.innovation_std)
-    other = np.asarray(evaluated(residuals, jnp.asarray(search.theta), arrays)[1].innovation)
+    other = np.asarray(predict_at(residuals, jnp.asarray(search.theta), arrays).innovation)
     if not np.isfinite(other).all() or not is_as_good(other * scale, fit.innovation * scale, residuals.sampling.rate):
         return ()
     symmetric = symmetric_bristle(fit.problem)

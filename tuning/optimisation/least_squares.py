@@ -7,7 +7,6 @@ import enum
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -69,11 +68,6 @@ class LevenbergMarquardt(optx.AbstractGaussNewton[Array, Array, None]):
 
 STALLED_STEPS = 3  # a search that gains next to nothing in so many steps has arrived
 START_NORM = 10.0  # the residuals are scaled to it at the start, so that the first damping of 1 is a light one
-# A step counts that gains a hundredth of what was foreseen; after one that gains half of it the damping falls. (Usual
-# are 0.25 and 0.75, Nocedal and Wright, Numerical Optimization, ch. 4; friction hardly ever grants as much.)
-ACCEPTED, GOOD = 0.01, 0.5
-FASTER = 10.0  # by which the damping falls, and rises
-BLOCK = 512  # rows that are decomposed at once: with 16 columns 64 KB, a cache of the second level at most
 
 
 def with_jacobian(residuals: Residuals) -> Residuals:
@@ -100,119 +94,43 @@ def with_jacobian(residuals: Residuals) -> Residuals:
     return value
 
 
-# Compiled once for each `residuals`: where that is hashed by value, a second search costs no compilation. The algebra
-# of a step is NumPy's: beside a simulation of all samples it costs nothing, and a program that has it too takes longer
-# to compile.
+OPTIONS: dict[str, object] = {"jac": "fwd"}
+NO_TAGS: frozenset[object] = frozenset()
 
 
-def _linearise(residuals: Residuals, theta: Theta, args: PyTree) -> tuple[Float[Array, " m"], Float[Array, "m k"]]:
-    """The residuals at theta, and their derivative by it, in one forward pass for all parameters."""
+def _scaled(residuals: Residuals) -> Callable[[Theta, PyTree], tuple[Float[Array, " m"], None]]:
+    linearised = with_jacobian(residuals)
 
-    def along(direction: Theta) -> tuple[Array, Array]:
-        return jax.jvp(lambda theta: residuals(theta, args), (theta,), (direction,))
+    def fn(theta: Theta, args: PyTree) -> tuple[Float[Array, " m"], None]:
+        unit, scaled_args = args
+        return linearised(theta, scaled_args) / unit, None
 
-    return jax.vmap(along, out_axes=(None, 1))(jnp.eye(len(theta)))
+    return fn
 
 
-linearised = eqx.filter_jit(_linearise)
+# These are compiled once for each `residuals`: where that is hashed by value, a second search costs no compilation.
 
 
 @eqx.filter_jit
-def _linearised_lanes(
-    residuals: Residuals, points: Float[Array, "s k"], args: PyTree
-) -> tuple[Float[Array, "s m"], Float[Array, "s m k"]]:
-    return jax.vmap(lambda theta: _linearise(residuals, theta, args))(points)
+def _norm(residuals: Residuals, theta: Theta, args: PyTree) -> Float[Array, ""]:
+    return jnp.linalg.norm(residuals(theta, args))
 
 
-class _SearchState(NamedTuple):
-    """A search between two evaluations; residuals are in units in which they began with the norm `START_NORM`."""
-
-    theta: Float[np.ndarray, " k"]  # the best so far
-    residual: Float[np.ndarray, " m"]
-    triangle: Float[np.ndarray, "r k1"]  # `_triangle` of both there
-    damping: float
-    unit: float
-    trial: Float[np.ndarray, " k"]  # to be evaluated next
-
-    @property
-    def cost(self) -> float:
-        """The root of the sum of squares, in the residuals' own units."""
-        return self.unit * float(np.sqrt(_square(self.residual)))
+@eqx.filter_jit
+def _begin(residuals: Residuals, solver: LevenbergMarquardt, theta: Theta, args: PyTree) -> PyTree:
+    fn = _scaled(residuals)
+    f_struct, aux_struct = eqx.filter_eval_shape(fn, theta, args)
+    return solver.init(fn, theta, args, OPTIONS, f_struct, aux_struct, NO_TAGS)
 
 
-def _square(residual: Float[np.ndarray, " m"]) -> float:
-    """The sum of squares; infinite where it is beyond all numbers."""
-    with np.errstate(over="ignore"):
-        return float(np.sum(residual**2))
-
-
-def _triangle(residual: Float[np.ndarray, " m"], slope: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "r k1"]:
-    """R of a QR decomposition of derivative and residual: k + 1 rows that say of any step what all m do.
-
-    Block by block, and of the blocks' rows again (Demmel et al., Communication-optimal parallel and sequential QR and
-    LU factorizations, SIAM J. Sci. Comput. 34, 2012): what fits into a cache takes half the time, and no threads.
-    """
-    rows = np.column_stack([slope, residual])
-    count = rows.shape[1]
-    block = max(BLOCK, 4 * count)
-    while len(rows) > block:
-        whole = len(rows) // block * block
-        reduced = np.linalg.qr(rows[:whole].reshape(-1, block, count), mode="r")
-        rows = np.vstack([reduced.reshape(-1, count), rows[whole:]])
-    return np.linalg.qr(rows, mode="r")
-
-
-def _damped_step(triangle: Float[np.ndarray, "r k1"], damping: float) -> Float[np.ndarray, " k"]:
-    """The step to the minimum of the linearised residuals, and of `damping` times its own square."""
-    count = triangle.shape[1] - 1
-    rows = np.vstack([triangle, np.sqrt(damping) * np.eye(count, count + 1)])
-    orthogonal, upper = np.linalg.qr(rows[:, :-1])
-    return -np.linalg.solve(upper, orthogonal.T @ rows[:, -1])
-
-
-def _begun(theta: Float[np.ndarray, " k"], residual: Float[np.ndarray, " m"], slope: np.ndarray) -> _SearchState:
-    unit = float(np.sqrt(_square(residual))) / START_NORM or 1.0  # a start without any error is the end
-    triangle = _triangle(residual / unit, slope / unit)
-    return _SearchState(theta, residual / unit, triangle, 1.0, unit, theta + _damped_step(triangle, 1.0))
-
-
-def _after(state: _SearchState, residual: Float[np.ndarray, " m"], slope: np.ndarray) -> tuple[_SearchState, bool]:
-    """The search once its trial was evaluated, and whether the step was taken."""
-    with np.errstate(over="ignore"):
-        residual = residual / state.unit
-    is_finite = np.isfinite(residual).all() and np.isfinite(slope).all()
-    found = 0.5 * (_square(residual) - _square(state.residual)) if is_finite else np.inf
-    before = state.triangle[:, -1]
-    ahead = state.triangle[:, :-1] @ (state.trial - state.theta) + before
-    foreseen = 0.5 * float(ahead @ ahead - before @ before)
-    if not found <= ACCEPTED * foreseen:
-        damping = state.damping * FASTER
-        return state._replace(damping=damping, trial=state.theta + _damped_step(state.triangle, damping)), False
-    damping = state.damping / FASTER if foreseen < 0 and found < GOOD * foreseen else state.damping
-    triangle = _triangle(residual, slope / state.unit)
-    trial = state.trial + _damped_step(triangle, damping)
-    return _SearchState(state.trial, residual, triangle, damping, state.unit, trial), True
-
-
-def _has_settled(before: _SearchState, state: _SearchState, tolerance: float) -> bool:
-    """Whether the last step changed neither the point nor any residual, beside themselves and one (Cauchy's test)."""
-    pairs = ((before.theta, state.theta), (before.residual, state.residual))
-    return all(np.all(np.abs(now - was) < tolerance * (1.0 + np.abs(now))) for was, now in pairs)
-
-
-def relative_offset(triangle: Float[np.ndarray, "r k1"], count: int) -> float:
-    """How far from the minimum a point with `count` residuals is, beside how well these say where that is.
-
-    Of the residual the part that the derivative's columns span over the rest, each as a root mean square. Times the
-    root of k it bounds how many standard errors any parameter, or combination of some, is from its estimate (Bates and
-    Watts, A relative offset orthogonality convergence criterion for nonlinear least squares, Technometrics 23, 1981).
-    Infinite where there are no more residuals than parameters, or the rest is nothing.
-    """
-    parameters = triangle.shape[1] - 1
-    if count <= parameters or triangle[-1, -1] == 0.0:
-        return np.inf
-    spanned, rest = float(np.linalg.norm(triangle[:-1, -1])), abs(float(triangle[-1, -1]))
-    return spanned / rest * float(np.sqrt((count - parameters) / parameters))
+@eqx.filter_jit
+def _step(
+    residuals: Residuals, solver: LevenbergMarquardt, theta: Theta, args: PyTree, state: PyTree
+) -> tuple[Theta, PyTree, Array, Array, optx.RESULTS]:
+    fn = _scaled(residuals)
+    theta, state, _ = solver.step(fn, theta, args, OPTIONS, state, NO_TAGS)
+    finished, result = solver.terminate(fn, theta, args, OPTIONS, state, NO_TAGS)
+    return theta, state, args[0] * jnp.sqrt(2.0 * state.f_info.as_min()), finished, result
 
 
 def levenberg_marquardt(
@@ -223,54 +141,85 @@ def levenberg_marquardt(
     max_steps: int,
     tolerance: float,
     min_gain: float = 1e-7,
-    min_offset: float = 0.0,
     progress: StepProgress = no_progress,
 ) -> LeastSquaresResult:
-    """Minimise the sum of squares of `residuals(theta, args)` from `theta` (Marquardt 1963).
+    """Minimise the sum of squares of `residuals(theta, args)` from `theta`.
 
-    Stops when a step changes neither any residual, relative to the first cost, nor the point by more than `tolerance`,
-    where the `relative_offset` of a point is below `min_offset`, when three steps gained less than `min_gain` of the
-    cost, after `max_steps` evaluations, or when interrupted (Ctrl-C), and returns the best point seen in any case. The
-    Jacobian is forward-mode: it costs about twice a simulation with a handful of parameters. Raises `DivergenceError`
-    if the start itself has no finite cost.
+    Stops when a step changes neither the cost, relative to the first, nor the point by more than `tolerance`, after
+    `max_steps`, or when interrupted (Ctrl-C), and returns the best point seen in any case. The Jacobian is
+    forward-mode: it costs about twice a simulation with a handful of parameters. Raises `DivergenceError` if the start
+    itself has no finite cost. `min_gain` is the share of the cost that three steps must gain to be worth going on.
     """
     started = time.perf_counter()
-
-    def evaluate(point: Float[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
-        value, slope = linearised(residuals, jnp.asarray(point), args)
-        return np.asarray(value), np.asarray(slope)
-
-    value, slope = evaluate(np.asarray(theta, float))
-    initial_cost = float(np.sqrt(_square(value)))
+    point = jnp.asarray(theta)
+    initial_cost = float(_norm(residuals, point, args))
     if not np.isfinite(initial_cost):
         raise DivergenceError(
             "the loop diverges where the search starts: start from values with which `simulate` is ok"
         )
-    state = _begun(np.asarray(theta, float), value, slope)
-    history, accepted_costs = [initial_cost, initial_cost], [initial_cost]
-    outcome, status, count = Outcome.STOPPED, f"stopped after {max_steps} steps, still falling", 1
+    solver = LevenbergMarquardt(rtol=tolerance, atol=tolerance)
+    scaled_args = (jnp.asarray(initial_cost / START_NORM), args)
+    best, cost, history, accepted_costs = point, initial_cost, [initial_cost], [initial_cost]
+    outcome, status, count = Outcome.STOPPED, f"stopped after {max_steps} steps, still falling", 0
     try:
-        progress(count, max_steps, initial_cost)
-        is_settled = False
-        while not is_settled and not relative_offset(state.triangle, len(value)) < min_offset:
-            if count == max_steps:
+        state = _begin(residuals, solver, point, scaled_args)
+        for count in range(1, max_steps + 1):
+            point, state, value, finished, result = _step(residuals, solver, point, scaled_args, state)
+            new_cost = float(value)
+            history.append(new_cost)
+            if np.isfinite(new_cost) and new_cost < cost:
+                best, cost = point, new_cost
+            progress(count, max_steps, cost)
+            if accepted_costs[-1] != float(new_cost):
+                accepted_costs.append(float(new_cost))  # a step that was taken, not one that only raised the damping
+            if len(accepted_costs) > STALLED_STEPS and accepted_costs[-1 - STALLED_STEPS] - cost < min_gain * cost:
+                outcome, status = Outcome.CONVERGED, "converged"
                 break
-            count += 1
-            before = state
-            state, accepted = _after(state, *evaluate(state.trial))
-            history.append(state.cost)
-            progress(count, max_steps, state.cost)
-            if accepted:
-                accepted_costs.append(state.cost)
-                is_settled = _has_settled(before, state, tolerance)
-            if len(accepted_costs) > STALLED_STEPS:
-                is_settled |= accepted_costs[-1 - STALLED_STEPS] - state.cost < min_gain * state.cost
-        else:
-            outcome, status = Outcome.CONVERGED, "converged"
+            if bool(finished):
+                outcome, status = Outcome.STOPPED, f"stopped: {result}"
+                if bool(result == optx.RESULTS.successful):
+                    outcome, status = Outcome.CONVERGED, "converged"
+                break
     except KeyboardInterrupt:
         outcome, status = Outcome.INTERRUPTED, f"interrupted after {count - 1} steps"
-    seconds = time.perf_counter() - started
-    return LeastSquaresResult(state.theta, outcome, status, initial_cost, state.cost, count, seconds, history)
+    return LeastSquaresResult(
+        np.asarray(best), outcome, status, initial_cost, cost, count, time.perf_counter() - started, history
+    )
+
+
+_LANES = eqx.if_array(0)
+
+
+@eqx.filter_jit
+def _begin_lanes(
+    residuals: Residuals, solver: LevenbergMarquardt, points: Float[Array, "s k"], args: PyTree
+) -> tuple[Float[Array, " s"], PyTree]:
+    units = jax.vmap(lambda theta: jnp.linalg.norm(residuals(theta, args)))(points) / START_NORM
+    fn = _scaled(residuals)
+    f_struct, aux_struct = eqx.filter_eval_shape(fn, points[0], (units[0], args))
+
+    def init_lane(theta: Theta, unit: Float[Array, ""]) -> PyTree:
+        return solver.init(fn, theta, (unit, args), OPTIONS, f_struct, aux_struct, NO_TAGS)
+
+    return units, eqx.filter_vmap(init_lane, out_axes=_LANES)(points, units)
+
+
+@eqx.filter_jit
+def _step_lanes(
+    residuals: Residuals,
+    solver: LevenbergMarquardt,
+    points: Float[Array, "s k"],
+    units: Float[Array, " s"],
+    args: PyTree,
+    state: PyTree,
+) -> tuple[Float[Array, "s k"], PyTree, Float[Array, " s"]]:
+    fn = _scaled(residuals)
+
+    def step_lane(theta: Theta, unit: Float[Array, ""], state: PyTree) -> tuple[Theta, PyTree, Array]:
+        theta, state, _ = solver.step(fn, theta, (unit, args), OPTIONS, state, NO_TAGS)
+        return theta, state, unit * jnp.sqrt(2.0 * state.f_info.as_min())
+
+    return eqx.filter_vmap(step_lane, in_axes=(0, 0, _LANES), out_axes=_LANES)(points, units, state)
 
 
 def require_search_memory(residuals: Residuals, starts: Float[np.ndarray, "s k"], args: PyTree) -> None:
@@ -298,21 +247,18 @@ def multistart(
     returns the best so far and says so, with True at the end.
     """
     require_search_memory(residuals, starts, args)
-    trials, costs = np.array(starts, float), np.full(len(starts), np.inf)
-    lanes: list[_SearchState | None] = [None] * len(starts)
+    solver = LevenbergMarquardt(rtol=0.0, atol=0.0)
+    points = jnp.asarray(starts)
+    units, state = _begin_lanes(residuals, solver, points, args)
+    best, costs = np.asarray(points), START_NORM * np.nan_to_num(np.asarray(units), nan=np.inf)
     interrupted = False
     try:
         for count in range(1, steps + 1):
-            values, slopes = (np.asarray(array) for array in _linearised_lanes(residuals, jnp.asarray(trials), args))
-            for k, (lane, value, slope) in enumerate(zip(lanes, values, slopes, strict=True)):
-                if lane is not None:
-                    lane, _ = _after(lane, value, slope)
-                elif count == 1 and np.isfinite(_square(value)) and np.isfinite(slope).all():
-                    lane = _begun(trials[k].copy(), value, slope)
-                if lane is not None:
-                    lanes[k], trials[k], costs[k] = lane, lane.trial, lane.cost
+            points, state, cost = _step_lanes(residuals, solver, points, units, args, state)
+            now = np.asarray(cost)
+            better = np.isfinite(now) & (now < costs)
+            best, costs = np.where(better[:, None], points, best), np.where(better, now, costs)
             progress(count, steps, float(costs.min()))
     except KeyboardInterrupt:
         interrupted = True
-    best = [start if lane is None else lane.theta for start, lane in zip(np.asarray(starts), lanes, strict=True)]
-    return np.array(best), costs, interrupted
+    return best, costs, interrupted

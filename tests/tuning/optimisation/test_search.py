@@ -2,7 +2,6 @@
 
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,15 +10,7 @@ from diffdrive.controllers.base import PDGains
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.model.parameters import Plant
 from diffdrive.numerics.arrays import as_arrays
-from tuning.optimisation.least_squares import (
-    START_NORM,
-    LevenbergMarquardt,
-    Outcome,
-    _triangle,
-    levenberg_marquardt,
-    multistart,
-    relative_offset,
-)
+from tuning.optimisation.least_squares import Outcome, levenberg_marquardt
 from tuning.optimisation.space import FreeParameter, search_space, space_around
 
 
@@ -121,71 +112,6 @@ def test_an_interrupted_search_returns_the_best_it_has_seen():
     )
     assert (found.outcome, found.status) == (Outcome.INTERRUPTED, "interrupted after 2 steps")
     assert found.cost == min(found.history) < found.initial_cost
-
-
-def bent(y, times):
-    """Residuals of a curve that no choice of its three numbers fits."""
-    return y[0] * jnp.exp(-y[1] * times) + y[2] * times - jnp.cos(3.0 * times)
-
-
-TIMES = jnp.linspace(0.0, 2.0, 40)
-
-
-@pytest.mark.parametrize("steps", [1, 2, 5, 9])
-def test_the_steps_are_those_of_optimistix(steps):
-    """With its radius of trust in the place of the damping, and residuals that begin with the same norm."""
-    start = np.array([3.0, -2.0, 1.0])
-    unit = jnp.linalg.norm(bent(start, TIMES)) / START_NORM
-    solver = LevenbergMarquardt(rtol=0.0, atol=0.0)
-    stock = optx.least_squares(
-        lambda y, times: bent(y, times) / unit, solver, jnp.asarray(start), TIMES, {"jac": "fwd"}, max_steps=steps,
-        throw=False,
-    )  # fmt: skip
-    found = levenberg_marquardt(bent, start, TIMES, max_steps=steps, tolerance=0.0, min_gain=0.0)
-    np.testing.assert_allclose(found.theta, stock.value, rtol=1e-9)
-    assert found.cost == pytest.approx(float(jnp.linalg.norm(bent(stock.value, TIMES))), rel=1e-12)
-
-
-def test_the_relative_offset_is_the_distance_from_the_minimum_in_standard_errors():
-    random = np.random.default_rng(3)
-    slope, data = random.normal(size=(50, 4)) * [1.0, 1e-2, 1e2, 1.0], random.normal(size=50)
-    best, rest = np.linalg.lstsq(slope, data)[:2]
-    scatter = np.sqrt(rest[0] / 46)
-    errors = scatter * np.sqrt(np.diag(np.linalg.inv(slope.T @ slope)))
-    for shift in random.normal(size=(5, 4)) * 1e-2:
-        point = best + errors * shift
-        offset = relative_offset(_triangle(slope @ point - data, slope), 50)
-        assert 2.0 * offset == pytest.approx(np.linalg.norm(slope @ (errors * shift)) / scatter, rel=1e-6)
-        assert 2.0 * offset >= np.max(np.abs(shift)) * (1 - 1e-9)
-    assert relative_offset(_triangle(data[:4], slope[:4]), 4) == np.inf
-
-
-def test_a_search_that_begins_at_the_minimum_ends_there():
-    settings = {"max_steps": 50, "tolerance": 0.0, "min_gain": 0.0, "min_offset": 1e-3}
-    first = levenberg_marquardt(bent, np.array([3.0, -2.0, 1.0]), TIMES, **settings)
-    again = levenberg_marquardt(bent, first.theta, TIMES, **settings)
-    assert first.outcome is again.outcome is Outcome.CONVERGED
-    assert 1 == again.steps < first.steps < 50
-    np.testing.assert_array_equal(again.theta, first.theta)
-
-
-def test_a_step_to_where_nothing_is_finite_is_not_taken():
-    found = levenberg_marquardt(
-        lambda y, _: jnp.concatenate([y - 1e-3, jnp.log(y)]), np.array([5.0]), None, max_steps=60, tolerance=1e-9
-    )
-    assert found.outcome is Outcome.CONVERGED
-    assert np.isfinite(found.history).all()
-
-
-def test_of_many_starts_one_that_diverges_stays_and_the_others_go_on():
-    starts = np.array([[3.0, -2.0, 1.0], [np.inf, 0.0, 0.0], [1.0, 1.0, 0.0]])
-    points, costs, interrupted = multistart(bent, starts, TIMES, steps=12)
-    assert (costs[1], interrupted) == (np.inf, False)
-    np.testing.assert_array_equal(points[1], starts[1])
-    for k in (0, 2):
-        alone = levenberg_marquardt(bent, starts[k], TIMES, max_steps=12, tolerance=0.0, min_gain=0.0)
-        np.testing.assert_allclose(points[k], alone.theta, rtol=1e-8)
-        assert costs[k] == pytest.approx(alone.cost, rel=1e-12)
 
 
 def test_a_search_from_a_diverging_start_is_refused():
