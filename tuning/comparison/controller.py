@@ -9,8 +9,16 @@ from scipy.stats import t as student
 from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from tuning.comparison.change import Change, relative
-from tuning.comparison.changes import CONFIDENCE, POWER, Interval
-from tuning.identification.controller.compare import Difference, Named, differences, differences_of, needed
+from tuning.comparison.changes import CONFIDENCE, POWER, Estimates, Interval
+from tuning.comparison.changes import Difference as Changes
+from tuning.identification.controller.compare import (
+    Difference,
+    Named,
+    differences,
+    differences_of,
+    needed,
+    smallest_change,
+)
 from tuning.identification.controller.gains import Parts, pooled
 from tuning.identification.controller.workflow import LogController, of_log
 
@@ -39,10 +47,13 @@ _PARTS = (
 
 
 class ControllerChanges(NamedTuple):
-    """The gains before and after; none, and the reason among the notes, where they are not compared."""
+    """The gains before and after, and a path and a sentence for each that differs.
+
+    None, and the reason among the notes, where they are not compared.
+    """
 
     changes: tuple[Change, ...]
-    sentences: tuple[str, ...]
+    sentences: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
 
 
@@ -93,17 +104,40 @@ def _of_side(logs: Sequence[Log], name: str, control_rate: float | None, notes: 
 
 
 def controller_changes(sides: ControllerSides, level: float) -> ControllerChanges:
-    """The gains before and after, and a sentence for each that differs; a false one in a share `level`, or fewer."""
+    """The gains before and after, and a sentence for each that differs; a false one in a share `level`, or fewer.
+
+    Half of the level is that of the gains one by one; the other is that of all together, by which two that the logs do
+    not tell apart are seen to differ.
+    """
     if not sides.are_comparable:
         return ControllerChanges((), (), sides.notes)
     one, other = (pooled([log.parts for log in side]) for side in (sides.before, sides.after))
-    found = {difference.name: difference for difference in differences(one, other, ("before", "after"), level)}
-    smallest = needed(one, other, level, 1.0 - POWER)
+    found = {difference.name: difference for difference in differences(one, other, ("before", "after"), 0.5 * level)}
+    smallest = needed(one, other, 0.5 * level, 1.0 - POWER)
     changes = tuple(_change(k, one, other, _PARTS[k].name in found, float(smallest[k])) for k in range(len(_PARTS)))
     sentences = tuple(
-        _sentence(found[part.name], change) for part, change in zip(_PARTS, changes, strict=True) if change.has_changed
+        (part.path, _sentence(found[part.name], change))
+        for part, change in zip(_PARTS, changes, strict=True)
+        if change.has_changed
     )
+    if not sentences and (rivals := _jointly(one, other, 0.5 * level)):
+        sentences = (("controller", f"the controller has changed, in {rivals}: these logs do not decide which"),)
     return ControllerChanges(changes, sentences, sides.notes)
+
+
+def _jointly(one: Parts, other: Parts, level: float) -> str:
+    """The gains by any of which all of the difference is explained; empty where there is none.
+
+    What fits are accurate to is anything up to `SMALLEST` either way: a third of its square in variance.
+    """
+    count = len(_PARTS) - 1  # the following error per speed is K_v and the feed-forward once more
+    accuracy = np.diag(smallest_change(one, other)[:count] ** 2 / 3.0)
+    sides = [
+        Estimates(side.values[:count], side.covariance[:count, :count] + 0.5 * accuracy, side.freedom)
+        for side in (one, other)
+    ]
+    explanations = Changes(tuple(part.label for part in _PARTS[:count]), *sides).explanations(level)
+    return " or ".join(" and ".join(labels) for labels in explanations if labels)
 
 
 def _change(k: int, one: Parts, other: Parts, has_changed: bool, smallest: float) -> Change:

@@ -105,12 +105,7 @@ def findings_of(
             instead = sorted(others - set(machine.changed))
             more += f"; a change of {' or '.join(LABELS.get(one, one) for one in instead)} explains as much"
         found.append(Finding(parameter, sentence(machine.of(parameter), more)))
-    found += [
-        Finding(change.path, text)
-        for change, text in zip(
-            (one for one in controller.changes if one.has_changed), controller.sentences, strict=True
-        )
-    ]
+    found += [Finding(path, text) for path, text in controller.sentences]
     reversal = next((one for one in encoders.changes if one.path == "encoders.reversal_error"), None)
     if loosened and reversal is not None and play is not None:
         found.insert(0, Finding(LOST_PRELOAD, f"lost preload: {sentence(friction)}, and {_played(play, reversal)}"))

@@ -125,8 +125,26 @@ def controller(kp):
 @pytest.mark.parametrize(("after", "verb"), [(45.0, "fell"), (55.0, "rose")])
 def test_a_changed_gain_is_one_sentence(after, verb):
     gains = controller_changes(ControllerSides((controller(50.0),), (controller(after),), ()), LEVEL)
-    (said,) = gains.sentences
+    ((_, said),) = gains.sentences
     assert said.startswith(f"K_v {verb} by 10.0")
     assert said.endswith(f"from 50 to {after:g} 1/s")
     (found,) = findings_of(machine(), gains, NO_SCREW)
     assert found == ("controller.kp", said)
+
+
+def test_gains_that_change_places_are_seen_to_have_changed():
+    """K_v and the inverse reset time of which the sum is known, and neither: one has fallen by a tenth."""
+
+    def side(kp):
+        values = np.array([np.log(kp), np.log(1e5), 50.0, 1.0, 400.0, 0.0])
+        spread = np.zeros((6, 1))
+        spread[0], spread[2] = 0.2, -0.2 * 50.0
+        covariance = spread @ spread.T + np.diag([1e-6, 1e-6, 1e-3, 1e-6, 1.0, 1e-10])
+        return (SimpleNamespace(parts=Parts(values, covariance, 20.0)),)
+
+    same, changed = (controller_changes(ControllerSides(side(50.0), side(kp), ()), LEVEL) for kp in (50.0, 40.0))
+    assert same.sentences == ()
+    ((code, said),) = changed.sentences
+    assert code == "controller"
+    assert said.startswith("the controller has changed, in ")
+    assert "K_v or the inverse reset time" in said or "the inverse reset time or K_v" in said

@@ -87,11 +87,11 @@ def needed(one: Parts, other: Parts, false_alarm: float = FALSE_ALARM, missed: f
     deviation = np.sqrt(np.diag(one.covariance + other.covariance))
     freedom = min(one.freedom, other.freedom)
     quantiles = student.isf(0.5 * false_alarm / len(PARTS), freedom) + student.isf(missed, freedom)
-    return _smallest(one, other) + float(quantiles) * deviation
+    return smallest_change(one, other) + float(quantiles) * deviation
 
 
-def _smallest(one: Parts, other: Parts) -> np.ndarray:
-    """`SMALLEST` of each part; of a mass and a time, which may be zero, of what the gains would make of it."""
+def smallest_change(one: Parts, other: Parts) -> np.ndarray:
+    """`SMALLEST` of each of `PARTS`; of a mass and a time, which may be zero, of what the gains would make of it."""
     kp, kv = np.exp(min(one.values[0], other.values[0])), np.exp(max(one.values[1], other.values[1]))
     rate = max(abs(one.values[2]), abs(other.values[2]))
     return SMALLEST * np.array([1.0, 1.0, rate, 1.0, kv / kp, 1.0 / kp])
