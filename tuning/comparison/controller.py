@@ -73,8 +73,9 @@ class ControllerSides(NamedTuple):
 def controllers_of(before: Sequence[Log], after: Sequence[Log], control_rate: float | None) -> ControllerSides:
     """The cascade of each log that has a reference; `control_rate` (Hz) where it is known."""
     notes: list[str] = []
-    sides = tuple(_of_side(logs, name, control_rate, notes) for logs, name in ((before, "before"), (after, "after")))
-    return ControllerSides(*sides, tuple(notes))
+    first = _of_side(before, "before", control_rate, notes)
+    second = _of_side(after, "after", control_rate, notes)
+    return ControllerSides(first, second, tuple(notes))
 
 
 def _of_side(logs: Sequence[Log], name: str, control_rate: float | None, notes: list[str]) -> tuple[LogController, ...]:
