@@ -25,10 +25,10 @@ from experiments.reports.output_folder import close_all
 
 INTERRUPTED = 130
 LAST_WORDS = 0.5  # s, that a blocked pipe or disk may hold up each of the five steps of the end
-# what commands continue from: diagnose, identify, real-axes, tune, sweep, recovery, withheld
+# what commands continue from: diagnose, identify, compare, real-axes, tune, sweep, recovery, withheld
 CONTINUED = (
-    "diagnosis.parts", "identification.parts", "real-axes.parts", "tuning.checkpoint.json", "parts", "draws.jsonl",
-    "answers",
+    "diagnosis.parts", "identification.parts", "comparison.parts", "real-axes.parts", "tuning.checkpoint.json",
+    "parts", "draws.jsonl", "answers",
 )  # fmt: skip
 SWALLOWED = 0  # on the wake-up socket, beside the numbers of signals
 SHOW_CURSOR = b"\x1b[?25h"
