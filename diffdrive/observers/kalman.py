@@ -3,7 +3,7 @@
 Matrices are nested tuples of scalars, so that a control step compiles into one kernel (docs/method/numerics.md);
 entries that are the Python numbers 0.0 and 1.0 cost nothing. A covariance is its upper triangle, row by row: a compiler
 cannot know that the other half is equal, and would compute, carry and, in reverse mode, store it too. The output matrix
-is C = [1, 0, ..., 0] throughout.
+is C = [1, 0, ..., 0], but in what ends in `along`.
 """
 
 from collections.abc import Callable
@@ -69,6 +69,24 @@ def update_covariance(covariance: Triangle, gain: Vector, measurement_noise: Sca
             - gain[i] * first_row[j]
             - gain[j] * first_row[i]
             + gain[i] * gain[j] * innovation_variance
+        ),
+    )
+
+
+def kalman_gain_along(covariance: Triangle, output: Vector, measurement_noise: Scalar) -> tuple[Vector, Vector, Scalar]:
+    """The gain of a measurement of C = `output`; with Omega C' and the variance of the innovation."""
+    seen = matvec(full_matrix(covariance), output)
+    variance = dot(output, seen) + measurement_noise
+    precision = 1.0 / variance
+    return tuple(row * precision for row in seen), seen, variance
+
+
+def update_covariance_along(covariance: Triangle, gain: Vector, seen: Vector, innovation_variance: Scalar) -> Triangle:
+    """The Joseph form for any output and any gain, with `seen` = Omega C'; a gain of zero changes nothing."""
+    return _triangle(
+        len(gain),
+        lambda i, j: (
+            covariance[i][j - i] - gain[i] * seen[j] - gain[j] * seen[i] + gain[i] * gain[j] * innovation_variance
         ),
     )
 

@@ -172,14 +172,14 @@ def _width(information: Float[np.ndarray, "k k"], k: int) -> float:
 def _information(fit: RefinedFit, problem: IdentificationProblem, lanes: int) -> Float[np.ndarray, "lanes k k"]:
     """Fisher information of each lane at the end of a fit, without what was believed before."""
     _, slope = linearised(fit.residuals, jnp.asarray(fit.search.theta), as_arrays(problem))
-    rows = np.asarray(slope)[: problem.lanes.position.size].reshape(lanes, -1, slope.shape[1])
+    rows = np.asarray(slope)[: problem.lanes.position.size * problem.lanes.encoders].reshape(lanes, -1, slope.shape[1])
     return np.einsum("lnk,lnj->lkj", rows, rows)
 
 
 def _prior_information(fit: RefinedFit) -> Float[np.ndarray, "k k"]:
     """That of what was believed before any log."""
     _, slope = linearised(fit.residuals, jnp.asarray(fit.search.theta), as_arrays(fit.problem))
-    rows = np.asarray(slope)[fit.problem.lanes.position.size :]
+    rows = np.asarray(slope)[fit.problem.lanes.position.size * fit.problem.lanes.encoders :]
     return rows.T @ rows
 
 

@@ -80,6 +80,8 @@ def reported_parameters(drive: Drive, unknowns: Unknowns, symmetric: frozenset[s
     rows = []
     for parameter in PARAMETERS:
         value = parameter.value(drive, unknowns)
+        if value is None:
+            continue
         if not isinstance(value, Directional):
             rows.append(ReportedParameter(parameter, "", value))
         elif parameter.unknown in symmetric:

@@ -14,20 +14,38 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from diffdrive.model import plant
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.once import once
-from diffdrive.observers.kalman import Matrix, Triangle, diagonal, kalman_gain, predict_covariance, update_covariance
-from tuning.identification.prediction import FilterGains, Lanes, applied_force, initial_state
+from diffdrive.observers.kalman import (
+    Matrix,
+    Triangle,
+    diagonal,
+    kalman_gain,
+    kalman_gain_along,
+    predict_covariance,
+    update_covariance,
+    update_covariance_along,
+)
+from tuning.identification.prediction import (
+    Corrections,
+    FilterGains,
+    Lanes,
+    applied_force,
+    corrected,
+    initial_state,
+    wind_up,
+)
 
 PROCESS_FORCES = np.geomspace(1e-3, 1e3, 25)  # N, that are tried
 INITIAL_VELOCITY_STD = 1e-3  # m/s, standard deviation at the first sample
 
 
 Carry = tuple[plant.PlantState, Triangle]
+Sums = tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]
 LinearisedPeriod = Callable[[plant.PlantState, Scalar, Scalar], tuple[plant.PlantState, Matrix]]
 
 
@@ -37,6 +55,7 @@ class FilterResult(NamedTuple):
     gains: FilterGains
     innovation: Float[Array, "lanes n"]  # m
     deviance: Float[Array, ""]  # -2 log likelihood of the innovations, up to a constant
+    motor_innovation: Float[Array, "lanes n"] | None = None  # m
 
 
 def _linearised_period(drive: Drive, sampling: Sampling) -> LinearisedPeriod:
@@ -62,47 +81,84 @@ def _linearised_period(drive: Drive, sampling: Sampling) -> LinearisedPeriod:
 
 
 def run_filter(
-    drive: Drive, delay: Scalar, process: Scalar, noise: Scalar, lanes: Lanes, sampling: Sampling
+    drive: Drive,
+    delay: Scalar,
+    process: Scalar,
+    noise: Scalar,
+    lanes: Lanes,
+    sampling: Sampling,
+    compliance: Scalar = 0.0,
 ) -> FilterResult:
-    """Filter each lane; `noise` (m) is the measurement's, `process` (N) the model's."""
+    """Filter each lane; `noise` (m) is the measurement's, `process` (N) the model's, `compliance` (m/N) the screw's."""
     period = _linearised_period(drive, sampling)
     velocity_variance = (process * sampling.period / drive.plant.mass) ** 2
     measured_variance = noise**2
 
-    def body(carry: Carry, sample: tuple[Array, Array, Array]) -> tuple[Carry, tuple[FilterGains, Array]]:
+    def body(carry: Carry, sample: tuple[PyTree, ...]) -> tuple[Carry, tuple[FilterGains, Array, Array | None]]:
         state, covariance = carry
-        measured, force, load = sample
+        measured, force, load, motor = sample
         innovation = measured - state.position
         innovation_std = jnp.sqrt(covariance[0][0] + measured_variance)
         gains = kalman_gain(covariance, measured_variance)
-        state = plant.PlantState(*(value + k * innovation for value, k in zip(state, gains, strict=True)))
+        state = corrected(state, gains, innovation)
         covariance = update_covariance(covariance, gains, measured_variance)
+        corrections = motor_innovation = None
+        if motor is not None:
+            reading, counts, motor_noise = motor
+            ahead, per_bristle = wind_up(drive, compliance, state.bristle)
+            motor_innovation = reading - state.position - ahead
+            gain, seen, variance = kalman_gain_along(covariance, (1.0, 0.0, per_bristle), motor_noise**2)
+            gain = tuple(counts * one for one in gain)
+            state = corrected(state, gain, motor_innovation)
+            covariance = update_covariance_along(covariance, gain, seen, variance)
+            corrections = Corrections(*(jnp.asarray(one) for one in gain), jnp.sqrt(variance))
         state, covariance = once((state, covariance))
         state, moved = period(state, force, load)
         covariance = predict_covariance(covariance, moved, (0.0, velocity_variance, 0.0))
         position, velocity, bristle = (jnp.asarray(value) for value in gains)
-        return (state, covariance), (FilterGains(position, velocity, bristle, innovation_std), innovation)
+        found = FilterGains(position, velocity, bristle, innovation_std, corrections)
+        return (state, covariance), (found, innovation, motor_innovation)
 
-    def filter_lane(lane: Lanes) -> tuple[FilterGains, Array]:
+    def filter_lane(lane: Lanes) -> tuple[FilterGains, Array, Array | None]:
         begin = initial_state(drive, lane)
         level = drive.friction.coulomb_at(lane.load[0]).positive
         bristle_std = 0.5 * level / drive.friction.bristle_stiffness.positive  # of its deflection at the start
         spread = diagonal((measured_variance, jnp.asarray(INITIAL_VELOCITY_STD) ** 2, bristle_std**2))
         force = applied_force(drive, lane, delay, sampling.period)
-        return lax.scan(body, (begin, spread), (lane.position, force, lane.load))[1]
+        motor = None
+        if lane.motor is not None:
+            motor = (lane.motor.position, lane.motor.counts, jnp.full_like(lane.motor.position, lane.motor.noise))
+        return lax.scan(body, (begin, spread), (lane.position, force, lane.load, motor))[1]
 
-    gains, innovation = lax.map(filter_lane, lanes)
-    mask = lanes.counts
-    mean_square = jnp.sum(mask * (innovation / gains.innovation_std) ** 2) / jnp.sum(mask)
-    deviance = jnp.sum(mask) * jnp.log(mean_square) + 2.0 * jnp.sum(mask * jnp.log(gains.innovation_std))
-    return FilterResult(gains, innovation, deviance)
+    gains, innovation, motor_innovation = lax.map(filter_lane, lanes)
+    count, squares, logarithms = _sums(lanes.counts, innovation, gains.innovation_std)
+    if lanes.motor is not None:
+        motor = _sums(lanes.motor.counts, motor_innovation, gains.motor.innovation_std)
+        count, squares, logarithms = count + motor[0], squares + motor[1], logarithms + motor[2]
+    mean_square = squares / count
+    deviance = count * jnp.log(mean_square) + 2.0 * logarithms
+    return FilterResult(gains, innovation, deviance, motor_innovation)
+
+
+def _sums(mask: Float[Array, "lanes n"], innovation: Float[Array, "lanes n"], std: Float[Array, "lanes n"]) -> Sums:
+    """How many innovations count, their squares in standard deviations, and the logarithms of those."""
+    return jnp.sum(mask), jnp.sum(mask * (innovation / std) ** 2), jnp.sum(mask * jnp.log(std))
 
 
 @eqx.filter_jit
 def _deviances(
-    drive: Drive, delay: Scalar, processes: Float[Array, " p"], noise: Scalar, lanes: Lanes, sampling: Sampling
+    drive: Drive,
+    delay: Scalar,
+    processes: Float[Array, " p"],
+    noise: Scalar,
+    lanes: Lanes,
+    sampling: Sampling,
+    compliance: Scalar,
 ) -> Float[Array, " p"]:
-    return jax.vmap(lambda process: run_filter(drive, delay, process, noise, lanes, sampling).deviance)(processes)
+    def deviance(process: Scalar) -> Float[Array, ""]:
+        return run_filter(drive, delay, process, noise, lanes, sampling, compliance).deviance
+
+    return jax.vmap(deviance)(processes)
 
 
 _run_filter = eqx.filter_jit(run_filter)
@@ -119,23 +175,31 @@ class MostLikely(NamedTuple):
     filter_result: FilterResult
 
 
-def most_likely(drive: Drive, delay: Scalar, noise: float, lanes: Lanes, sampling: Sampling) -> MostLikely:
+def most_likely(
+    drive: Drive, delay: Scalar, noise: float, lanes: Lanes, sampling: Sampling, compliance: Scalar = 0.0
+) -> MostLikely:
     """Filter the lanes under the likeliest of `PROCESS_FORCES`.
 
     The innovations' scale is free in the likelihood: only the ratio of process and measuring noise is at stake.
     """
-    deviances = np.asarray(
-        _deviances(drive, jnp.asarray(delay), jnp.asarray(PROCESS_FORCES), jnp.asarray(noise), lanes, sampling)
-    )
+    arrays = (jnp.asarray(value) for value in (delay, PROCESS_FORCES, noise))
+    deviances = np.asarray(_deviances(drive, *arrays, lanes, sampling, jnp.asarray(compliance)))
     found = np.where(np.isfinite(deviances), deviances, np.inf)
     best = int(np.argmin(found)) if np.isfinite(found).any() else len(found) - 1
     process = float(PROCESS_FORCES[best])
-    gains = filter_lanes(drive, delay, process, noise, lanes, sampling)
+    gains = filter_lanes(drive, delay, process, noise, lanes, sampling, compliance)
     return MostLikely(process, float(found[best]), float(found[0] - found[best]), gains)
 
 
 def filter_lanes(
-    drive: Drive, delay: Scalar, process: float, noise: float, lanes: Lanes, sampling: Sampling
+    drive: Drive,
+    delay: Scalar,
+    process: float,
+    noise: float,
+    lanes: Lanes,
+    sampling: Sampling,
+    compliance: Scalar = 0.0,
 ) -> FilterResult:
     """Filter the lanes under a given process force (N)."""
-    return _run_filter(drive, jnp.asarray(delay), jnp.asarray(process), jnp.asarray(noise), lanes, sampling)
+    arrays = (jnp.asarray(value) for value in (delay, process, noise))
+    return _run_filter(drive, *arrays, lanes, sampling, jnp.asarray(compliance))

@@ -28,6 +28,7 @@ from tuning.identification.problem import COARSE_SUBSTEP, FINE_SUBSTEP, Identifi
 from tuning.identification.refinement import (
     RefinedFit,
     coulomb_level,
+    leading_innovation,
     missing_force,
     refine,
     refine_substeps,
@@ -35,7 +36,7 @@ from tuning.identification.refinement import (
     without_undetermined,
 )
 from tuning.identification.rivals import RivalValue, rival_values
-from tuning.identification.setup import build_problem
+from tuning.identification.setup import IdentificationSetup, build_problem
 from tuning.identification.uncertainty import Covariance, repetition_inflation
 from tuning.identification.unknowns import MULTIMODAL, Unknowns
 from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, StepProgress, multistart, no_progress
@@ -60,9 +61,10 @@ class Identification:
     adequacy: Adequacy
     covariance: Covariance
     correlated: list[tuple[str, str, float]]  # pairs, by their paths in an axis, that the logs hardly tell apart
-    noise: float  # m
+    noise: float  # m, of the finer encoder
+    scale_noise: float  # m
     process_force: float  # N, standard deviation of the force missing in the model, were it white
-    innovation: Float[np.ndarray, "lanes n"]  # m
+    innovation: Float[np.ndarray, "lanes n"]  # m, of the finer encoder
     missing_force: Float[np.ndarray, "lanes n"]  # N, force that the corrections stand for
     velocity: Float[np.ndarray, "lanes n"]  # m/s, as predicted
     search: LeastSquaresResult
@@ -129,6 +131,7 @@ def identify(
         fit = _with_repetition(refine_substeps(fit, setup.noise, progress, store), rate)
     drive_found, remark = _file_drive(fit)
     missing = missing_force(fit)
+    innovation, expected = leading_innovation(fit)
     table, scatter = estimates(
         fit.search.theta, fit.residuals, fit.problem, fit.covariance, undetermined | setup.unexcited
     )
@@ -137,16 +140,17 @@ def identify(
         estimates=table,
         estimate_covariance=scatter,
         adequacy=adequacy(
-            fit.innovation / np.asarray(fit.problem.gains.innovation_std),
+            innovation / expected,
             fit.deviance_gain,
             missing,
             coulomb_level(fit),
         ),
         covariance=fit.covariance,
         correlated=_correlated(fit.residuals.free, fit.covariance),
-        noise=setup.noise,
+        noise=_finest_noise(setup),
+        scale_noise=setup.scale_noise,
         process_force=fit.process_force,
-        innovation=fit.innovation,
+        innovation=innovation,
         missing_force=missing,
         velocity=fit.velocity,
         search=fit.search,
@@ -199,8 +203,14 @@ def _many_starts(
 
 def _with_repetition(fit: RefinedFit, rate: float) -> RefinedFit:
     """The fit with the covariance of laps that are no new ones where residuals repeat from lap to lap."""
-    again = repetition_inflation(fit.innovation / np.asarray(fit.problem.gains.innovation_std), rate)
+    innovation, expected = leading_innovation(fit)
+    again = repetition_inflation(innovation / expected, rate)
     return fit._replace(covariance=fit.covariance._replace(matrix=again * fit.covariance.matrix))
+
+
+def _finest_noise(setup: IdentificationSetup) -> float:
+    motor = setup.problem.lanes.motor
+    return setup.scale_noise if motor is None else min(setup.scale_noise, float(motor.noise[0]))
 
 
 def _interrupt(*_: object) -> None:

@@ -30,9 +30,11 @@ class IdentifiedParameter(NamedTuple):
         """Without the part of the axis."""
         return self.path.partition(".")[2]
 
-    def value(self, drive: Drive, unknowns: Unknowns) -> Scalar | Directional:
-        """Its value in a drive, or where that has none among the unknowns."""
-        value: Scalar | Directional = node_at(drive, self.path) if self.in_drive else getattr(unknowns, self.unknown)
+    def value(self, drive: Drive, unknowns: Unknowns) -> Scalar | Directional | None:
+        """Its value in a drive, or where that has none among the unknowns; None where no log can show it."""
+        value: Scalar | Directional | None = (
+            node_at(drive, self.path) if self.in_drive else getattr(unknowns, self.unknown)
+        )
         return value
 
 
@@ -48,6 +50,7 @@ PARAMETERS = (  # of several that rest on one unknown the first stands for it
     IdentifiedParameter("friction.bristle_stiffness", "N/m", "bristle_stiffness"),
     IdentifiedParameter("friction.bristle_damping", "N*s/m", "bristle_damping"),
     IdentifiedParameter("actuator.delay", "periods", "delay", is_signed=True, in_drive=False),
+    IdentifiedParameter("screw.compliance", "m/N", "compliance", is_signed=True, in_drive=False),
 )
 BOUNDABLE = {parameter.name: parameter for parameter in PARAMETERS}
 # the friction at no load has no value in a file at which it could be held

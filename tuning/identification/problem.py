@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 
 from diffdrive.errors import LogError
 from diffdrive.logs import Log
-from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.model.parameters import Drive, Sampling, Sensor
+from diffdrive.numerics.arrays import Scalar
 from tuning.identification.prediction import FilterGains, Lanes, Prediction, initial_velocity, predict
 from tuning.identification.symmetry import departure_from_symmetry
 from tuning.identification.unknowns import Unknowns
@@ -52,14 +53,23 @@ def lanes_of(logs: list[Log]) -> Lanes:
 def noise_floor(drive: Drive, lanes: Lanes, rate: float) -> float:
     """Standard deviation (m) of the measured position about the true one; `rate` (Hz) is that of the lanes.
 
-    From the drive's sensor where it states one, and at least what the log itself shows: the scatter of its third
-    differences, which smooth motion leaves alone, in the median stretch of `WINDOW` samples. Of a slow log the fifth:
-    a motion of a few hertz shows in the third there.
+    From the drive's sensor where it states one, and at least what the log itself shows: see `encoder_noise`.
     """
-    resolution = 0.0 if drive.sensor.resolution is None else float(drive.sensor.resolution)
-    stated = np.hypot(resolution / np.sqrt(12), float(drive.sensor.noise))
+    return encoder_noise(drive.sensor, lanes.position, lanes.counts, rate)
+
+
+def encoder_noise(
+    encoder: Sensor, position: Float[Array, "lanes n"], counts: Float[Array, "lanes n"], rate: float
+) -> float:
+    """Standard deviation (m) of an encoder's readings where they count.
+
+    As stated, and at least the scatter of its third differences, which smooth motion leaves alone, in the median
+    stretch of `WINDOW` samples. Of a slow log the fifth: a motion of a few hertz shows in the third there.
+    """
+    resolution = 0.0 if encoder.resolution is None else float(encoder.resolution)
+    stated = np.hypot(resolution / np.sqrt(12), float(encoder.noise))
     order = 3 if rate >= SLOW_LOG else 5
-    differences = np.diff(np.asarray(lanes.position), order, axis=1) * np.asarray(lanes.counts)[:, order:]
+    differences = np.diff(np.asarray(position), order, axis=1) * np.asarray(counts)[:, order:]
     windows = differences[:, : differences.shape[1] // WINDOW * WINDOW].reshape(-1, WINDOW)
     squares = np.mean(windows[np.any(windows != 0.0, axis=1)] ** 2, axis=1)
     shown = np.sqrt(np.median(squares) / comb(2 * order, order)) if len(squares) else 0.0
@@ -86,9 +96,10 @@ class Innovations:
 
     Hashed by value, so that the same question is compiled once.
 
-    Innovations over their expected scatter, each `stride`-th, then two priors: the distance of theta from its start in
-    units of belief, a factor of five, and how much more the directions differ than believed (`symmetry`). They are next
-    to nothing where the log says something about a parameter, and decide where it says nothing.
+    Innovations over their expected scatter, each `stride`-th, those of two encoders in turn; then two priors: the
+    distance of theta from its start in units of belief, a factor of five, and how much more the directions differ than
+    believed (`symmetry`). They are next to nothing where the log says something about a parameter, and decide where it
+    says nothing.
     """
 
     free: tuple[FreeParameter, ...]
@@ -102,17 +113,34 @@ class Innovations:
 
     def predict(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
         """What the drive at theta predicts."""
-        drive, unknowns = self.unpack(theta, problem)
-        return predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling)
+        return self._predict(*self.unpack(theta, problem), problem)
+
+    def _predict(self, drive: Drive, unknowns: Unknowns, problem: IdentificationProblem) -> Prediction:
+        gains, lanes = problem.gains, problem.lanes
+        return predict(drive, unknowns.delay, gains, lanes, self.sampling, compliance_of(unknowns))
 
     def __call__(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
         drive, unknowns = self.unpack(theta, problem)
-        innovation = predict(drive, unknowns.delay, problem.gains, problem.lanes, self.sampling).innovation
-        weighed = (innovation * problem.lanes.counts / problem.gains.innovation_std)[:, :: self.stride] * np.sqrt(
-            self.stride
-        )
+        predicted, lanes, gains = self._predict(drive, unknowns, problem), problem.lanes, problem.gains
+
+        def weighed(
+            innovation: Float[Array, "lanes n"], counts: Float[Array, "lanes n"], std: Float[Array, "lanes n"]
+        ) -> Float[Array, "lanes m"]:
+            return (innovation * counts / std)[:, :: self.stride] * np.sqrt(self.stride)
+
+        rows = weighed(predicted.innovation, lanes.counts, gains.innovation_std)
+        if lanes.motor is not None:
+            assert predicted.motor_innovation is not None
+            assert gains.motor is not None
+            motor = weighed(predicted.motor_innovation, lanes.motor.counts, gains.motor.innovation_std)
+            rows = jnp.stack([rows, motor], axis=-1)
         symmetry = departure_from_symmetry(unknowns, problem.believed_unknowns)
-        return jnp.concatenate([weighed.ravel(), problem.prior * theta, symmetry])
+        return jnp.concatenate([rows.ravel(), problem.prior * theta, symmetry])
+
+
+def compliance_of(unknowns: Unknowns) -> Scalar:
+    """That of the screw (m/N), 0 where it is not looked for."""
+    return 0.0 if unknowns.compliance is None else unknowns.compliance
 
 
 def sampling_of(rate: float, substep: float) -> Sampling:

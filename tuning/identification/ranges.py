@@ -72,6 +72,10 @@ def _user_bounds(
             )
         if any(path.split(".")[0] == stem for path in found):
             raise ParameterError(f"{name} is bounded twice, under two names")
+        if name == "compliance" and before.compliance is None:
+            raise ParameterError(
+                "cannot bound compliance: no log has a motor encoder beside the scale that shows it in both directions"
+            )
         for path in free_paths(before):
             if path.split(".")[0] != stem:
                 continue

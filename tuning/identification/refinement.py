@@ -15,7 +15,7 @@ from diffdrive.model.parameters import Drive
 from diffdrive.numerics.arrays import Scalar, as_arrays
 from tuning.identification.filter_gain import PROCESS_FORCES, MostLikely, filter_lanes, most_likely
 from tuning.identification.prediction import Prediction
-from tuning.identification.problem import FINEST_SUBSTEP, IdentificationProblem, Innovations, sampling_of
+from tuning.identification.problem import FINEST_SUBSTEP, IdentificationProblem, Innovations, compliance_of, sampling_of
 from tuning.identification.uncertainty import Covariance, sandwich
 from tuning.identification.unknowns import value_at, with_value
 from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, StepProgress, levenberg_marquardt
@@ -45,6 +45,13 @@ class RefinedFit(NamedTuple):
     process_force: float = np.inf  # N
     deviance_gain: float = 0.0  # in deviance, of that process over none
     steps: int = 0
+    motor_innovation: Float[np.ndarray, "lanes n"] | None = None  # m, of the motor's encoder beside the scale
+
+    def with_prediction(self, predicted: Prediction) -> "RefinedFit":
+        """The fit with other innovations, under the same gains."""
+        innovation, motor_innovation = _innovations(predicted, self.problem)
+        velocity = np.asarray(predicted.velocity)
+        return self._replace(innovation=innovation, velocity=velocity, motor_innovation=motor_innovation)
 
 
 def refine(
@@ -113,11 +120,15 @@ def _by_chords(finest: Innovations, fit: RefinedFit, progress: StepProgress) -> 
     search = dataclasses.replace(fit.search, theta=theta, cost=float(np.linalg.norm(value)))
     covariance = _sandwich_of(value, fit.slope, fit.problem, finest.sampling.rate)
     predicted = predict_at(finest, jnp.asarray(theta), arrays)
-    innovation = np.asarray(predicted.innovation) * np.asarray(fit.problem.lanes.counts)
-    return fit._replace(
-        residuals=finest, search=search, covariance=covariance, innovation=innovation,
-        velocity=np.asarray(predicted.velocity), steps=0,
-    )  # fmt: skip
+    return fit._replace(residuals=finest, search=search, covariance=covariance, steps=0).with_prediction(predicted)
+
+
+def _innovations(
+    predicted: Prediction, problem: IdentificationProblem
+) -> tuple[Float[np.ndarray, "lanes n"], Float[np.ndarray, "lanes n"] | None]:
+    """Those (m) of the scale and of a motor's encoder; zero where nothing was measured."""
+    motor, scale = problem.lanes.motor, np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
+    return scale, None if motor is None else np.asarray(predicted.motor_innovation) * np.asarray(motor.counts)
 
 
 def _alternate(
@@ -136,9 +147,8 @@ def _alternate(
         process = max(best.process_force / trust, float(PROCESS_FORCES[0]))
         gains = best.filter_result.gains
         if process != best.process_force:
-            gains = filter_lanes(
-                *_drive_and_delay(fine, theta, problem), process, noise, problem.lanes, fine.sampling
-            ).gains
+            drive, delay, compliance = _machine(fine, theta, problem)
+            gains = filter_lanes(drive, delay, process, noise, problem.lanes, fine.sampling, compliance).gains
         filtered = problem._replace(gains=jax.tree.map(np.asarray, gains))
         search = search_once(fine, theta, filtered, progress, min_gain, store=store)
         new, steps = _most_likely_at(fine, search.theta, problem, noise), steps + search.steps
@@ -171,17 +181,19 @@ def was_interrupted(search: LeastSquaresResult) -> bool:
     return search.outcome is Outcome.INTERRUPTED
 
 
-def _drive_and_delay(
+def _machine(
     fine: Innovations, theta: Float[np.ndarray, " k"], problem: IdentificationProblem
-) -> tuple[Drive, Scalar]:
+) -> tuple[Drive, Scalar, Scalar]:
+    """The drive at theta, its delay (control periods) and the compliance of its screw (m/N)."""
     drive, unknowns = fine.unpack(jnp.asarray(theta), problem)
-    return drive, unknowns.delay
+    return drive, unknowns.delay, compliance_of(unknowns)
 
 
 def _most_likely_at(
     fine: Innovations, theta: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float
 ) -> MostLikely:
-    return most_likely(*_drive_and_delay(fine, theta, problem), noise, problem.lanes, fine.sampling)
+    drive, delay, compliance = _machine(fine, theta, problem)
+    return most_likely(drive, delay, noise, problem.lanes, fine.sampling, compliance)
 
 
 def search_once(
@@ -219,9 +231,12 @@ def fit_at(fine: Innovations, problem: IdentificationProblem, search: LeastSquar
     theta, arrays = jnp.asarray(search.theta), as_arrays(problem)
     value, slope = (np.asarray(array) for array in linearised(fine, theta, arrays))
     predicted = predict_at(fine, theta, arrays)
-    innovation = np.asarray(predicted.innovation) * np.asarray(problem.lanes.counts)
+    innovation, motor_innovation = _innovations(predicted, problem)
     covariance = _sandwich_of(value, slope, problem, fine.sampling.rate)
-    return RefinedFit(fine, problem, search, covariance, slope, innovation, np.asarray(predicted.velocity))
+    velocity = np.asarray(predicted.velocity)
+    return RefinedFit(
+        fine, problem, search, covariance, slope, innovation, velocity, motor_innovation=motor_innovation
+    )
 
 
 @eqx.filter_jit
@@ -251,11 +266,15 @@ def residuals_at(fine: Innovations, theta: Float[Array, " k"], problem: Identifi
 def _sandwich_of(
     value: Float[np.ndarray, " m"], slope: Float[np.ndarray, "m k"], problem: IdentificationProblem, rate: float
 ) -> Covariance:
-    """The covariance of theta from the residuals, those of the priors last, and their derivative."""
-    shape = problem.lanes.position.shape
-    samples = shape[0] * shape[1]
-    residual, jacobian = value[:samples].reshape(shape), slope[:samples].reshape(*shape, -1)
-    return sandwich(residual, jacobian, rate, slope[samples:])
+    """The covariance of theta from the residuals, those of the priors last, and their derivative.
+
+    Two encoders are read in turn: one series of innovations, of twice the rate.
+    """
+    lanes, samples = problem.lanes.position.shape
+    shape, rate = (lanes, samples * problem.lanes.encoders), rate * problem.lanes.encoders
+    count = shape[0] * shape[1]
+    residual, jacobian = value[:count].reshape(shape), slope[:count].reshape(*shape, -1)
+    return sandwich(residual, jacobian, rate, slope[count:])
 
 
 def without_undetermined(
@@ -291,11 +310,27 @@ def missing_force(fit: RefinedFit) -> Float[np.ndarray, "lanes n"]:
     """
     drive, _ = fit.residuals.unpack(jnp.asarray(fit.search.theta), fit.problem)
     sampling = fit.residuals.sampling
-    force = float(drive.plant.mass) * sampling.rate * np.asarray(fit.problem.gains.velocity) * fit.innovation
+    gains, momentum_rate = fit.problem.gains, float(drive.plant.mass) * sampling.rate
+    force = momentum_rate * np.asarray(gains.velocity) * fit.innovation
+    if gains.motor is not None and fit.motor_innovation is not None:
+        force = force + momentum_rate * np.asarray(gains.motor.velocity) * fit.motor_innovation
     width = max(1, round(SMOOTHING * sampling.rate))
     smoothed = scipy.ndimage.uniform_filter1d(force, width, axis=1)
     smoothed[:, : round(SETTLING * sampling.rate)] = np.nan
     return np.where(np.asarray(fit.problem.lanes.counts) > 0, smoothed, np.nan)
+
+
+def leading_innovation(fit: RefinedFit) -> tuple[Float[np.ndarray, "lanes n"], Float[np.ndarray, "lanes n"]]:
+    """The innovations (m) of the finer encoder, and how far they were expected to scatter.
+
+    Beside it, those of the coarser one are its own errors: its counts, and what the screw makes of them.
+    """
+    motor, gains = fit.problem.lanes.motor, fit.problem.gains
+    if motor is None or gains.motor is None or fit.motor_innovation is None:
+        return fit.innovation, np.asarray(gains.innovation_std)
+    leads = np.asarray(motor.counts * motor.leads[:, None]) > 0
+    std = np.where(leads, np.asarray(gains.motor.innovation_std), np.asarray(gains.innovation_std))
+    return np.where(leads, fit.motor_innovation, fit.innovation), std
 
 
 def coulomb_level(fit: RefinedFit) -> float:

@@ -13,6 +13,7 @@ from diffdrive.model.parameters import Drive, check_drive
 from diffdrive.support.rates import is_same_rate
 from tuning.identification import inverse_dynamics
 from tuning.identification.inverse_dynamics import LOAD_SPREAD, MIN_SPEED
+from tuning.identification.motor_encoder import with_motor_encoder
 from tuning.identification.parameters import FIXABLE, parameter_called
 from tuning.identification.prediction import MAX_DELAY, constant_gains
 from tuning.identification.problem import IdentificationProblem, lanes_of, noise_floor
@@ -32,7 +33,8 @@ class IdentificationSetup(NamedTuple):
     problem: IdentificationProblem
     free: tuple[FreeParameter, ...]
     rate: float  # Hz
-    noise: float  # m
+    noise: float  # m, of the scale; beside the motor's encoder at least what they are apart
+    scale_noise: float  # m, as the scale itself shows it
     unexcited: frozenset[str]  # paths of parameters that no motion of these logs bears on
     notes: tuple[str, ...]
 
@@ -60,12 +62,20 @@ def build_problem(
             f"the drive file's delay of {delay:g} samples is beyond the {MAX_DELAY} that identification looks at: "
             "shift the log's command by the whole samples, and lower delay_samples by as many"
         )
-    noise = noise_floor(drive, lanes, rate)
-    believed = unknowns_of(drive, delay)
+    noise = scale_noise = noise_floor(drive, lanes, rate)
+    believed, begun = unknowns_of(drive, delay), unknowns_of(seeded, delay) if start is None else start
+    both = with_motor_encoder(logs, seeded, lanes, noise, rate)
+    compliance = None
+    if both is not None:
+        lanes, noise, compliance = both.lanes, both.noise, both.compliance
+    if compliance is not None:  # believed is the drive's rigid screw
+        believed = dataclasses.replace(believed, compliance=0.0)
+        compliance = compliance if begun.compliance is None else begun.compliance
+    begun = dataclasses.replace(begun, compliance=compliance)
     problem = IdentificationProblem(
         believed=drive,
         believed_unknowns=believed,
-        unknowns=unknowns_of(seeded, delay) if start is None else start,
+        unknowns=begun,
         lanes=lanes,
         gains=constant_gains(_rough_bandwidth(drive, rate), noise, lanes, 1.0 / rate),
         origin=np.zeros(0),
@@ -92,7 +102,7 @@ def build_problem(
             "coulomb_screw rests on the drive file's initial_load, which no log shows; their sum at no load does not"
         )
     problem, free, more_notes = free_space(_with_fixed(problem, fixed_names), fixed_names, bounded)
-    return IdentificationSetup(problem, free, rate, noise, unexcited, (*notes, *more_notes))
+    return IdentificationSetup(problem, free, rate, noise, scale_noise, unexcited, (*notes, *more_notes))
 
 
 def _common_rate(logs: Sequence[Log]) -> float:

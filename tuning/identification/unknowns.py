@@ -32,6 +32,9 @@ class Unknowns(eqx.Module):
     bristle_stiffness: Directional = quantity("N/m", "bristle stiffness, sigma_0", above=0.0, per_direction=True)
     bristle_damping: Directional = quantity("N*s/m", "bristle damping, sigma_1", above=0.0, per_direction=True)
     delay: Scalar = quantity("1", "delay from command to force, in control periods")
+    compliance: Scalar | None = quantity(
+        "m/N", "wind-up of the screw per newton of friction; None: no second encoder shows it", default=None
+    )
 
     def drive(self, believed: Drive) -> Drive:
         """`believed` with these parameters in place of its own; its delay excepted (see `with_delay`)."""
@@ -69,6 +72,7 @@ LOGARITHM_FLOOR = {
     "bristle_damping": 10.0,
 }  # what moves in a logarithm cannot start at 0
 MAX_FACTOR = 30.0  # factor by which a parameter may move from its start, either way
+STIFFEST = 1e9  # N/m: a short thick screw, a rack; what is stiffer winds up by nanometres under a kilonewton
 
 
 def unknowns_of(drive: Drive, delay: float) -> Unknowns:
@@ -111,6 +115,9 @@ def default_bounds(path: str, start: float, friction: float) -> FreeParameter:
         return FreeParameter(path, -reach, reach)
     if path == "delay":
         return FreeParameter(path, float(MIN_DELAY), float(MAX_DELAY))
+    if path == "compliance":  # of either sign, so that none lies within its interval
+        reach = MAX_FACTOR * max(abs(start), 1.0 / STIFFEST)
+        return FreeParameter(path, -reach, reach)
     middle = max(start, LOGARITHM_FLOOR.get(path.split(".")[0], 0.0))
     return FreeParameter(path, middle / MAX_FACTOR, middle * MAX_FACTOR)
 

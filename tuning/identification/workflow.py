@@ -20,6 +20,7 @@ from tuning.identification.gaps import Gap, gaps
 from tuning.identification.identify import Identification, require_search
 from tuning.identification.identify import identify as fit_drive
 from tuning.identification.informative import most_informative
+from tuning.identification.motor_encoder import without_doubtful_encoder
 from tuning.identification.parameters import without_side
 from tuning.identification.scale_noise import unstated_noise
 from tuning.identification.setup import held_unknowns
@@ -222,14 +223,16 @@ def identify_checked(
     _require_no_effects(axis)
     seen = axis.as_logged()
     deficits = shortcomings(used.logs, seen.drive, held_unknowns(fixed))
-    parts = most_informative(used.logs, seen.drive)
+    logs, notes = without_doubtful_encoder(used.logs, used.findings)
+    parts = most_informative(logs, seen.drive)
     fitted, others = replace(used, logs=parts.fitted), replace(held_out, logs=(*held_out.logs, *parts.rest))
     with searching(progress, "fitting friction, mass and delay") as step:
         found = fit_drive(
             fitted.logs, seen.drive, fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=step,
             start=start,
         )  # fmt: skip
-    return _result(axis, seen, found, fitted, others, deficits, parts.note)
+    notes += [parts.note] if parts.note else []
+    return _result(axis, seen, found, fitted, others, deficits, notes)
 
 
 def _require_no_effects(axis: Axis) -> None:
@@ -246,17 +249,17 @@ def _result(
     used: CheckedLogs,
     held_out: CheckedLogs,
     deficits: Sequence[Shortcoming],
-    selection: str,
+    selection: Sequence[str],
 ) -> IdentificationResult:
     """The result, with what is to be said of it; `seen` is the axis as its logs show it, `used` what was fitted."""
     against = doubts(found, seen.drive, used.logs, held_out.logs) if found.code in BELIEVABLE else []
     findings = [*used.notable, *held_out.notable]
     notes = [f"{log}: {finding.message}; {finding.remedy}" for log, finding in findings]
-    notes += [selection] if selection else []
+    notes += selection
     sums = determined_sums(found)
     notes += [*against, *(one.sentence for one in deficits), *found.notes, *(one.message for one in sums)]
     notes.append(found.adequacy.says)
-    unstated = unstated_noise(seen.drive, found.noise)
+    unstated = unstated_noise(seen.drive, found.scale_noise)
     notes += [unstated] if unstated else []
     if not axis.logs_show_delay:
         notes.append(f"{axis.unseen_controller}: the delay found is that of the trace, and [actuator] stays as it was")

@@ -161,7 +161,15 @@ def _compared(log: Log, axis: Axis | None, samples: _Samples) -> EncoderComparis
         resolution=_resolution(log, axis),
         reversals=reversals,
         places=_places(samples, rest) if both else (),
-        samples=ComparedSamples(samples.time, samples.table, difference, samples.passes.direction, fitted),
+        samples=ComparedSamples(
+            samples.passes.rows,
+            samples.time,
+            samples.table,
+            difference,
+            samples.passes.direction,
+            fitted,
+            as_table=samples.table + rest,
+        ),
     )
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from diffdrive.logs.encoders.regression import Estimate
 from diffdrive.results import Result, Status
@@ -34,11 +34,13 @@ class Place(NamedTuple):
 class ComparedSamples(NamedTuple):
     """The samples that were looked at; [n] each, in SI units."""
 
+    rows: Int[np.ndarray, " n"]  # index into the log
     time: Float[np.ndarray, " n"]
     position: Float[np.ndarray, " n"]
     difference: Float[np.ndarray, " n"]  # motor minus table, about its mean
     direction: Float[np.ndarray, " n"]  # +1, -1
     fitted: Float[np.ndarray, " n"]  # the difference by the model; not a number where the table does not slide
+    as_table: Float[np.ndarray, " n"]  # the motor as the table's position, with the lost motion and without the rest
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -98,7 +98,7 @@ def report_identification(report: Report, result: IdentificationResult) -> None:
     for lack in result.shortcomings:
         report.say(f"{readable.titled(lack.sentence)}.")
     print_identification(report, result.fit)
-    if unstated := unstated_noise(result.initial_axis.drive, result.fit.noise):
+    if unstated := unstated_noise(result.initial_axis.drive, result.fit.scale_noise):
         report.say(unstated)
     if result.status.ok:
         _next_motions(report, result)
