@@ -15,7 +15,7 @@ from diffdrive.motion.text import number
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs, check_logs, require_sound, which_log, with_load
 
-EXTRA = ("motor_position", "velocity", "current", "temperature")  # what identification does not look at
+EXTRA = ("velocity", "current", "temperature")  # what neither identification nor diagnosis looks at
 
 
 def axis_with_overrides(

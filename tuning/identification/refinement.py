@@ -234,9 +234,7 @@ def fit_at(fine: Innovations, problem: IdentificationProblem, search: LeastSquar
     innovation, motor_innovation = _innovations(predicted, problem)
     covariance = _sandwich_of(value, slope, problem, fine.sampling.rate)
     velocity = np.asarray(predicted.velocity)
-    return RefinedFit(
-        fine, problem, search, covariance, slope, innovation, velocity, motor_innovation=motor_innovation
-    )
+    return RefinedFit(fine, problem, search, covariance, slope, innovation, velocity, motor_innovation=motor_innovation)
 
 
 @eqx.filter_jit

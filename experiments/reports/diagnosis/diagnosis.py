@@ -106,7 +106,6 @@ def read_diagnosis_logs(report: Report, paths: Sequence[Path], description: Axis
         report,
         name="findings",
         loads=parse_loads(loads, list(paths), description.sheet),
-        used=("motor_position",),
     )
     if checked.fatal:
         follows = "no cause is looked for" if is_void(checked) else "and is believed accordingly"
