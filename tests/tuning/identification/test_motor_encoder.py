@@ -72,21 +72,26 @@ def clean_lanes():
     return Lanes(position, jnp.asarray(force)[None], 0.0 * one, 0.0 * one, one, jnp.zeros(1), motor=motor)
 
 
+predicted = eqx.filter_jit(predict)
+
+
 def gains_of(lanes, process=1e-3, compliance=COMPLIANCE):
     return filter_lanes(as_arrays(ASYMMETRIC), 0.0, process, NOISE, lanes, SAMPLING, compliance).gains
 
 
+@pytest.mark.long
 def test_both_encoders_of_an_exact_machine_are_foreseen_to_rounding():
     lanes = clean_lanes()
     assert np.ptp(lanes.motor.position - lanes.position) > 1e-6
     for gains in (gains_of(lanes), gains_of(lanes, 10.0), constant_gains(200.0, NOISE, lanes, SAMPLING.period)):
-        found = predict(as_arrays(ASYMMETRIC), 0.0, gains, lanes, SAMPLING, COMPLIANCE)
+        found = predicted(as_arrays(ASYMMETRIC), jnp.zeros(()), gains, lanes, SAMPLING, jnp.asarray(COMPLIANCE))
         assert np.max(np.abs(found.innovation)) < 1e-14
         assert np.max(np.abs(found.motor_innovation)) < 1e-14
-    stiff = predict(as_arrays(ASYMMETRIC), 0.0, gains_of(lanes), lanes, SAMPLING)
+    stiff = predicted(as_arrays(ASYMMETRIC), jnp.zeros(()), gains_of(lanes), lanes, SAMPLING, jnp.zeros(()))
     assert np.max(np.abs(stiff.motor_innovation)) > 100.0 * MOTOR_NOISE
 
 
+@pytest.mark.long
 def test_the_filter_expects_of_the_finer_encoder_what_that_scatters_by():
     lanes = clean_lanes()
     both, scale = gains_of(lanes), gains_of(lanes._replace(motor=None))
@@ -96,8 +101,11 @@ def test_the_filter_expects_of_the_finer_encoder_what_that_scatters_by():
     assert scale.motor is None
 
 
+@pytest.mark.long
 def test_an_encoder_that_is_nowhere_measured_changes_nothing():
     lanes = clean_lanes()
+    noise = NOISE * np.random.default_rng(0).normal(size=lanes.position.shape)
+    lanes = lanes._replace(position=lanes.position + noise)
     unmeasured = lanes.motor._replace(position=lanes.motor.position + 1.0, counts=0.0 * lanes.motor.counts)
     alone = filter_lanes(as_arrays(ASYMMETRIC), 0.0, 1.0, NOISE, lanes._replace(motor=None), SAMPLING)
     beside = filter_lanes(
@@ -110,12 +118,18 @@ def test_an_encoder_that_is_nowhere_measured_changes_nothing():
 # --- what the fit is given
 
 
-def moved(seconds=4.0, resolution=RESOLUTION, motor_resolution=MOTOR_RESOLUTION, **apart):
-    """A motion there and back without a machine, as both encoders read it; `apart` adds to the motor's reading."""
+def path(seconds=4.0):
+    """Time, position and velocity of a motion there and back."""
     time = np.arange(round(seconds * RATE)) / RATE
-    position = 0.02 * (1.0 - np.cos(2.0 * np.pi * 0.6 * time)) + 0.003 * (1.0 - np.cos(2.0 * np.pi * 1.9 * time))
-    velocity = np.gradient(position, time)
-    motor = position + sum(apart.values(), np.zeros(len(time)))
+    slow, fast = 2.0 * np.pi * 0.6, 2.0 * np.pi * 1.9
+    position = 0.02 * (1.0 - np.cos(slow * time)) + 0.003 * (1.0 - np.cos(fast * time))
+    return time, position, 0.02 * slow * np.sin(slow * time) + 0.003 * fast * np.sin(fast * time)
+
+
+def moved(seconds=4.0, resolution=RESOLUTION, motor_resolution=MOTOR_RESOLUTION, apart=0.0):
+    """The motion without a machine, as both encoders read it; `apart` (m) is what the motor is ahead by."""
+    time, position, velocity = path(seconds)
+    motor = position + apart
     command = 100.0 * np.gradient(velocity, time) + 80.0 * np.tanh(velocity / 1e-4)
     steps = [step * np.round(one / step) for one, step in ((position, resolution), (motor, motor_resolution))]
     return Log("moved", time=time, position=steps[0], command=command, motor_position=steps[1])
@@ -127,9 +141,8 @@ def both_of(log, drive=DRIVE):
 
 
 def test_the_coarser_encoder_is_brought_to_the_finer_ones_zero_scale_and_time():
-    still = moved()
-    velocity = np.gradient(still.position, still.time)
-    log = moved(zero=np.full(len(velocity), 0.321), late=2e-4 * velocity, pitch=1e-4 * still.position)
+    _, position, velocity = path()
+    log = moved(apart=0.321 + 2e-4 * velocity + 1e-4 * position)
     lanes, both = both_of(log)
     assert np.std(log.motor_position - log.position) > 10.0 * RESOLUTION
     between = np.asarray(both.lanes.motor.position - both.lanes.position)[0]
@@ -151,9 +164,9 @@ def test_a_motor_encoder_that_is_coarser_leaves_the_scale_as_it_is():
 
 
 def test_what_the_two_are_apart_beyond_the_model_is_noise_of_the_coarser():
-    time = moved().time
+    time = path()[0]
     wander = 4e-6 * np.sin(2.0 * np.pi * 3.3 * time) * np.sin(2.0 * np.pi * 0.17 * time)
-    _, both = both_of(moved(wander=wander))
+    _, both = both_of(moved(apart=wander))
     assert both.noise > 1e-6
     assert float(both.lanes.motor.noise[0]) < 1e-8
 
