@@ -73,10 +73,11 @@ def thinned(lanes: Lanes, thinning: int) -> Lanes:
     def blocks(signal: Array) -> Array:
         return signal[:, : count * thinning].reshape(len(signal), count, thinning)
 
-    forces = {name: blocks(getattr(lanes, name)).mean(axis=2) for name in ("command", "disturbance", "load")}
+    command, disturbance, load = (blocks(one).mean(axis=2) for one in (lanes.command, lanes.disturbance, lanes.load))
     counts = blocks(lanes.counts).min(axis=2)
     position, asked = blocks(lanes.position)[:, :, 0], blocks(lanes.command)
-    return lanes._replace(position=position, counts=counts, period_commands=asked, **forces)
+    forces = lanes._replace(command=command, disturbance=disturbance, load=load)
+    return forces._replace(position=position, counts=counts, period_commands=asked)
 
 
 def counted_in(effect: Effect, periods: float) -> Effect:

@@ -111,7 +111,8 @@ def run_filter(
             gain = tuple(counts * one for one in gain)
             state = corrected(state, gain, motor_innovation)
             covariance = update_covariance_along(covariance, gain, seen, variance)
-            corrections = Corrections(*(jnp.asarray(one) for one in gain), jnp.sqrt(variance))
+            position, velocity, bristle = (jnp.asarray(one) for one in gain)
+            corrections = Corrections(position, velocity, bristle, jnp.sqrt(variance))
         state, covariance = once((state, covariance))
         state, moved = period(state, force, load)
         covariance = predict_covariance(covariance, moved, (0.0, velocity_variance, 0.0))
@@ -182,12 +183,13 @@ def most_likely(
 
     The innovations' scale is free in the likelihood: only the ratio of process and measuring noise is at stake.
     """
-    arrays = (jnp.asarray(value) for value in (delay, PROCESS_FORCES, noise))
-    deviances = np.asarray(_deviances(drive, *arrays, lanes, sampling, jnp.asarray(compliance)))
+    delay, processes, noise_std = (jnp.asarray(value) for value in (delay, PROCESS_FORCES, noise))
+    given = (lanes, sampling, jnp.asarray(compliance))
+    deviances = np.asarray(_deviances(drive, delay, processes, noise_std, *given))
     found = np.where(np.isfinite(deviances), deviances, np.inf)
     best = int(np.argmin(found)) if np.isfinite(found).any() else len(found) - 1
     process = float(PROCESS_FORCES[best])
-    gains = filter_lanes(drive, delay, process, noise, lanes, sampling, compliance)
+    gains = filter_lanes(drive, delay, process, noise, *given)
     return MostLikely(process, float(found[best]), float(found[0] - found[best]), gains)
 
 
@@ -201,5 +203,5 @@ def filter_lanes(
     compliance: Scalar = 0.0,
 ) -> FilterResult:
     """Filter the lanes under a given process force (N)."""
-    arrays = (jnp.asarray(value) for value in (delay, process, noise))
-    return _run_filter(drive, *arrays, lanes, sampling, jnp.asarray(compliance))
+    delay, process_force, noise_std = (jnp.asarray(value) for value in (delay, process, noise))
+    return _run_filter(drive, delay, process_force, noise_std, lanes, sampling, jnp.asarray(compliance))

@@ -103,8 +103,8 @@ def constant_gains(bandwidth: float, noise: float, lanes: Lanes, period: float) 
         position=leads * scale.position.at[:, 0].set(1.0),  # it begins where the finer one says
         innovation_std=jnp.broadcast_to(lanes.motor.noise[:, None], leads.shape),
     )
-    others = ((1.0 - leads) * gain for gain in scale[:3])
-    return FilterGains(*others, scale.innovation_std, motor)
+    position, velocity, bristle = ((1.0 - leads) * gain for gain in scale[:3])
+    return FilterGains(position, velocity, bristle, scale.innovation_std, motor)
 
 
 def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:

@@ -46,8 +46,10 @@ def lanes_of(logs: list[Log]) -> Lanes:
 
     counts = np.stack([np.arange(longest) < piece.stop - piece.start for _, piece in stretches]).astype(float)
     begins = [initial_velocity(jnp.asarray(log.position[piece]), log.rate) for log, piece in stretches]
-    arrays = (rows("position"), rows("command"), rows("disturbance"), rows("load"), counts, np.array(begins))
-    return Lanes(*(jnp.asarray(array) for array in arrays))
+    position, command, disturbance, load = (
+        jnp.asarray(rows(name)) for name in ("position", "command", "disturbance", "load")
+    )
+    return Lanes(position, command, disturbance, load, jnp.asarray(counts), jnp.asarray(np.array(begins)))
 
 
 def noise_floor(drive: Drive, lanes: Lanes, rate: float) -> float:

@@ -29,7 +29,7 @@ from diffdrive.numerics.arrays import Scalar, as_arrays, require_double_precisio
 from diffdrive.numerics.pipeline import require_shorter
 from diffdrive.results import Status
 from diffdrive.support.rates import is_same_rate
-from tuning.identification.prediction import Corrections, FilterGains, Lanes, initial_state, predict
+from tuning.identification.prediction import FilterGains, Lanes, initial_state, predict
 from tuning.identification.problem import FINE_SUBSTEP, lanes_of, long_pieces, sampling_of
 
 WARM_UP = 10  # samples before the log over which the controller is warmed up
@@ -190,7 +190,8 @@ def replay_open_loop(drive: Drive, log: Log, sampling: Sampling | None = None) -
     lanes = lanes_of([log])
     actuator = drive.actuator
     delay = actuator.delay_samples + float(actuator.delay_fraction or 0.0)
-    no_gains = FilterGains(*(jnp.zeros_like(lanes.position) for _ in Corrections._fields))
+    none = jnp.zeros_like(lanes.position)
+    no_gains = FilterGains(none, none, none, none)
     found = _predict(as_arrays(drive), jnp.asarray(delay), no_gains, lanes, _sampling(log, sampling))
     counted = np.asarray(lanes.counts) > 0
     measured, missed = np.asarray(lanes.position)[counted], -np.asarray(found.innovation)[counted]

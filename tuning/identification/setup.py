@@ -10,6 +10,7 @@ from diffdrive.errors import DiffdriveError, LogError, ParameterError
 from diffdrive.logs import Log
 from diffdrive.model.friction import steepest_stribeck_slope
 from diffdrive.model.parameters import Drive, check_drive
+from diffdrive.numerics.arrays import Scalar
 from diffdrive.support.rates import is_same_rate
 from tuning.identification import inverse_dynamics
 from tuning.identification.inverse_dynamics import LOAD_SPREAD, MIN_SPEED
@@ -65,7 +66,7 @@ def build_problem(
     noise = scale_noise = noise_floor(drive, lanes, rate)
     believed, begun = unknowns_of(drive, delay), unknowns_of(seeded, delay) if start is None else start
     both = with_motor_encoder(logs, seeded, lanes, noise, rate)
-    compliance = None
+    compliance: Scalar | None = None
     if both is not None:
         lanes, noise, compliance = both.lanes, both.noise, both.compliance
     if compliance is not None:  # believed is the drive's rigid screw
