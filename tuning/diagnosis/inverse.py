@@ -52,8 +52,9 @@ def _off(drive: Drive, log: Log, source: Stretch, dynamics: float) -> np.ndarray
     velocity, acceleration = (jnp.asarray(one) for one in differentiate(source.position, source.rate, 5 * dynamics))
     command = log.command[np.searchsorted(log.time, source.time)]
     position, load = jnp.asarray(source.position), jnp.asarray(source.load)
-    signals = (position, jnp.asarray(command), jnp.asarray(source.force - command), load, jnp.ones_like(load))
-    lanes = Lanes._make((*(one[None] for one in signals), velocity[:1], None))
+    disturbance = jnp.asarray(source.force - command)
+    ones = jnp.ones_like(load)
+    lanes = Lanes(position[None], jnp.asarray(command)[None], disturbance[None], load[None], ones[None], velocity[:1])
     machine = stages.with_machine_effects(own, effects)
     period = 1.0 / source.rate
     rigid = friction_along(machine, velocity, load, period)

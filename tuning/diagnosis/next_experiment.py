@@ -229,9 +229,8 @@ def _told(truth: Fitted, rival: Fitted, description: Axis, inputs: Inputs, steps
     drive = dataclasses.replace(drive, sensor=Sensor(None, float(logged.noise)))  # quantisation is a part of that noise
     frame = _rollout(*as_arrays((drive, description.controller)), inputs, logged.control, jax.random.key(0))
     position, command = jnp.asarray(frame.measured), jnp.asarray(frame.command)
-    flat = jnp.zeros_like(position)
-    signals = (position, command, flat, flat, jnp.ones_like(position))
-    lanes = thinned(Lanes._make((*(one[None] for one in signals), jnp.zeros(1), None)), logged.thinning)
+    none, counts = jnp.zeros_like(position)[None], jnp.ones_like(position)[None]
+    lanes = thinned(Lanes(position[None], command[None], none, none, counts, jnp.zeros(1)), logged.thinning)
     fitter = Fitter(logged._replace(lanes=lanes, owner=(0,), starts=jnp.zeros(1)))
     flat = jnp.zeros(lanes.position.shape[1])
     costs = []
