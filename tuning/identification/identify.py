@@ -27,6 +27,7 @@ from tuning.identification.parameters import axis_path
 from tuning.identification.problem import COARSE_SUBSTEP, FINE_SUBSTEP, IdentificationProblem, Innovations, sampling_of
 from tuning.identification.refinement import (
     RefinedFit,
+    by_scale_alone,
     coulomb_level,
     leading_innovation,
     missing_force,
@@ -107,8 +108,10 @@ def identify(
 
     `fixed` names parameters (as in the drive file) that stay, `bounded` those with bounds of their own. Loads must be
     in the logs where they differ. The first search starts from inverse dynamics, or from `start`, the answer of an
-    earlier fit with the same drive. Finished searches are kept in the `store`, and taken from there when the
-    identification is begun again. Raises `LogError` where a log cannot be used and `ParameterError` for unknown names.
+    earlier fit with the same drive. Of logs with a motor encoder beside the scale both are fitted, unless a rigid
+    machine lacks more force for that than for the scale alone. Finished searches are kept in the `store`, and taken
+    from there when the identification is begun again. Raises `LogError` where a log cannot be used and `ParameterError`
+    for unknown names.
     """
     require_search(starts, seed)
     require_double_precision()
@@ -135,7 +138,7 @@ def identify(
     table, scatter = estimates(
         fit.search.theta, fit.residuals, fit.problem, fit.covariance, undetermined | setup.unexcited
     )
-    return Identification(
+    found = Identification(
         drive=drive_found,
         estimates=table,
         estimate_covariance=scatter,
@@ -160,6 +163,32 @@ def identify(
         full_fit=full_fit,
         open_unknowns=frozenset(undetermined | setup.unexcited),
         rival=rival,
+    )
+    note = "" if was_interrupted(fit.search) or not found.adequacy.lacks_force else _prefers_scale(fit, setup.noise)
+    if not note:
+        return found
+    bounds = {name: limits for name, limits in (bounded or {}).items() if name.rpartition(".")[2] != "compliance"}
+    alone = identify(
+        [log.replace(motor_position=None) for log in logs], drive,
+        fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=progress, start=start,
+    )  # fmt: skip
+    return replace(alone, notes=(note, *alone.notes))
+
+
+def _prefers_scale(fit: RefinedFit, noise: float) -> str:
+    """Why the scale alone is to be fitted; empty where a rigid machine explains both encoders as well as the scale.
+
+    At one and the same answer, the filter has to invent less force for the scale alone.
+    """
+    if fit.problem.lanes.motor is None:
+        return ""
+    both, alone = (float(np.sqrt(np.nanmean(missing_force(one) ** 2))) for one in (fit, by_scale_alone(fit, noise)))
+    if not both > alone:
+        return ""
+    return (
+        f"the scale alone is fitted, and not the motor's encoder: with both a force of {both:.2g} N RMS is missing, "
+        f"with the scale {alone:.2g} N: the motor moves against the table as no rigid machine does; a diagnosis looks "
+        "for what the screw between them does"
     )
 
 

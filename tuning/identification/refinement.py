@@ -318,6 +318,18 @@ def missing_force(fit: RefinedFit) -> Float[np.ndarray, "lanes n"]:
     return np.where(np.asarray(fit.problem.lanes.counts) > 0, smoothed, np.nan)
 
 
+def by_scale_alone(fit: RefinedFit, noise: float) -> RefinedFit:
+    """The same answer, filtered by the scale without the motor's encoder; `noise` (m) is the scale's."""
+    problem = fit.problem._replace(lanes=fit.problem.lanes._replace(motor=None))
+    likeliest = _most_likely_at(fit.residuals, fit.search.theta, problem, noise)
+    gains, innovation = jax.tree.map(np.asarray, likeliest.filter_result[:2])
+    counted = innovation * np.asarray(problem.lanes.counts)
+    return fit._replace(
+        problem=problem._replace(gains=gains), innovation=counted, motor_innovation=None,
+        process_force=likeliest.process_force, deviance_gain=likeliest.deviance_gain,
+    )  # fmt: skip
+
+
 def leading_innovation(fit: RefinedFit) -> tuple[Float[np.ndarray, "lanes n"], Float[np.ndarray, "lanes n"]]:
     """The innovations (m) of the finer encoder, and how far they were expected to scatter.
 

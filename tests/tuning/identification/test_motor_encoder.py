@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,12 +22,13 @@ from diffdrive.observers.kalman import full_matrix, kalman_gain_along, update_co
 from experiments.studies.recovery.excitation import CREEPING, FAST, MEDIUM, SLOW, STRONG, concatenate, resting, strokes
 from tests.support.asymmetric_drive import ASYMMETRIC
 from tests.support.sound_log import RATE, axis_of
-from tuning.identification.filter_gain import filter_lanes
-from tuning.identification.identify import identify
+from tuning.identification.filter_gain import filter_lanes, most_likely
+from tuning.identification.identify import _prefers_scale, identify
 from tuning.identification.motor_encoder import with_motor_encoder, without_doubtful_encoder
+from tuning.identification.parameters import FIXABLE
 from tuning.identification.prediction import Lanes, MotorReadings, constant_gains, predict
 from tuning.identification.problem import Innovations, lanes_of, sampling_of
-from tuning.identification.refinement import residuals_at
+from tuning.identification.refinement import RefinedFit, predict_at, residuals_at
 from tuning.identification.setup import build_problem
 
 SAMPLING = sampling_of(RATE, 50e-6)
@@ -284,10 +286,35 @@ def test_both_encoders_narrow_what_a_coarse_scale_leaves_and_hold_the_truth():
     assert width(both["bristle_stiffness"]) < 0.5 * width(scale["bristle_stiffness"])
 
 
+SCREW = Compliance(frequency=300.0)
+
+
 @pytest.mark.slow
-def test_a_screw_that_winds_up_is_found_beside_the_bristle():
-    screw = Compliance(frequency=300.0)
-    found = found_by(2, screw)
-    stiffness = screw.motor_share * (1.0 - screw.motor_share) * 100.0 * (2.0 * np.pi * 300.0) ** 2
-    assert found["compliance"].value == pytest.approx(screw.table_friction / stiffness, rel=0.3)
-    assert found["mass"].value == pytest.approx(100.0, rel=0.02)
+def test_a_motor_that_swings_on_its_screw_is_not_fitted_and_the_scale_is_to_the_last_bit_as_alone():
+    log = logged(SCREW)
+    both, alone = (identify([one], believed(), fixed=HELD, starts=1) for one in (log, log.replace(motor_position=None)))
+    assert both.notes[0].startswith("the scale alone is fitted, and not the motor's encoder: with both a force of")
+    assert both.notes[1:] == alone.notes
+    assert both.estimates == alone.estimates
+    assert np.array_equal(both.innovation, alone.innovation)
+
+
+def at_truth(*effects):
+    """The filter along a log at the true parameters, the compliance of the screw as the encoders show it."""
+    held = [name for name in FIXABLE if name != "compliance"]
+    setup = build_problem([logged(*effects)], DRIVE, held, {})
+    residuals, theta, lanes = Innovations(setup.free, SAMPLING), np.zeros(1), setup.problem.lanes
+    drive, unknowns = residuals.unpack(jnp.asarray(theta), setup.problem)
+    found = most_likely(drive, unknowns.delay, setup.noise, lanes, SAMPLING, unknowns.compliance)
+    problem = setup.problem._replace(gains=found.filter_result.gains)
+    fit = RefinedFit(residuals, problem, SimpleNamespace(theta=theta), None, None, None)
+    return fit.with_prediction(predict_at(residuals, jnp.asarray(theta), as_arrays(problem))), setup.noise
+
+
+@pytest.mark.long
+def test_the_scale_alone_is_preferred_where_the_motor_swings_and_not_where_the_machine_is_rigid():
+    assert _prefers_scale(*at_truth()) == ""
+    assert "the motor moves against the table as no rigid machine does" in _prefers_scale(*at_truth(SCREW))
+    fit, noise = at_truth(SCREW)
+    one_encoder = fit._replace(problem=fit.problem._replace(lanes=fit.problem.lanes._replace(motor=None)))
+    assert _prefers_scale(one_encoder, noise) == ""
