@@ -299,11 +299,14 @@ def test_a_motor_that_swings_on_its_screw_is_not_fitted_and_the_scale_is_to_the_
     assert np.array_equal(both.innovation, alone.innovation)
 
 
-def at_truth(*effects):
-    """The filter along a log at the true parameters, the compliance of the screw as the encoders show it."""
+def at_truth(compliance, *effects):
+    """The filter along a log at the true parameters, and at this compliance (m/N)."""
     held = [name for name in FIXABLE if name != "compliance"]
     setup = build_problem([logged(*effects)], DRIVE, held, {})
-    residuals, theta, lanes = Innovations(setup.free, SAMPLING), np.zeros(1), setup.problem.lanes
+    (screw,), lanes = setup.free, setup.problem.lanes
+    share = (compliance - screw.low) / (screw.high - screw.low)
+    theta = np.log(share / (1.0 - share)) - setup.problem.origin
+    residuals = Innovations(setup.free, SAMPLING)
     drive, unknowns = residuals.unpack(jnp.asarray(theta), setup.problem)
     found = most_likely(drive, unknowns.delay, setup.noise, lanes, SAMPLING, unknowns.compliance)
     problem = setup.problem._replace(gains=found.filter_result.gains)
@@ -313,8 +316,9 @@ def at_truth(*effects):
 
 @pytest.mark.long
 def test_the_scale_alone_is_preferred_where_the_motor_swings_and_not_where_the_machine_is_rigid():
-    assert _prefers_scale(*at_truth()) == ""
-    assert "the motor moves against the table as no rigid machine does" in _prefers_scale(*at_truth(SCREW))
-    fit, noise = at_truth(SCREW)
+    assert _prefers_scale(*at_truth(0.0)) == ""
+    stiffness = SCREW.motor_share * (1.0 - SCREW.motor_share) * 100.0 * (2.0 * np.pi * SCREW.frequency) ** 2
+    fit, noise = at_truth(SCREW.table_friction / stiffness, SCREW)
+    assert "the motor moves against the table as no rigid machine does" in _prefers_scale(fit, noise)
     one_encoder = fit._replace(problem=fit.problem._replace(lanes=fit.problem.lanes._replace(motor=None)))
     assert _prefers_scale(one_encoder, noise) == ""
