@@ -310,7 +310,7 @@ def at_truth(compliance, *effects):
     drive, unknowns = residuals.unpack(jnp.asarray(theta), setup.problem)
     found = most_likely(drive, unknowns.delay, setup.noise, lanes, SAMPLING, unknowns.compliance)
     problem = setup.problem._replace(gains=found.filter_result.gains)
-    fit = RefinedFit(residuals, problem, SimpleNamespace(theta=theta), None, None, None)
+    fit = RefinedFit(residuals, problem, SimpleNamespace(theta=theta), None, None, None, None)
     return fit.with_prediction(predict_at(residuals, jnp.asarray(theta), as_arrays(problem))), setup.noise
 
 
