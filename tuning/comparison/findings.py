@@ -22,6 +22,7 @@ LABELS = {
     "friction.bristle_stiffness": "the bristle stiffness",
     "friction.bristle_damping": "the bristle damping",
     "actuator.delay": "the delay of the command",
+    "screw.compliance": "the wind-up of the screw per newton of friction",
 }
 COULOMB, MASS, PLAY = "friction.coulomb_at_no_load", "plant.mass", "encoders.play"
 LOST_PRELOAD = "lost preload"

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from tuning.comparison.changes import Difference, Estimates
 from tuning.identification.identify import UNDETERMINED, Identification
 from tuning.identification.parameters import axis_path, parameter_at, without_side
+from tuning.identification.refinement import leading_innovation
 from tuning.identification.uncertainty import repetition_inflation
 from tuning.identification.unknowns import Unknowns, value_at
 from tuning.optimisation.space import SearchSpace
@@ -104,9 +105,8 @@ def _estimates(found: Identification, paths: Sequence[str]) -> Estimates:
 
     theta = jnp.asarray(fit.search.theta)
     slope = np.asarray(jax.jacfwd(compared)(theta))
-    again = repetition_inflation(
-        fit.innovation / np.asarray(fit.problem.gains.innovation_std), fit.residuals.sampling.rate
-    )
+    innovation, expected = leading_innovation(fit)
+    again = repetition_inflation(innovation / expected, fit.residuals.sampling.rate)
     # the scores of the blocks sum to zero; what the parameters take of them, the covariance allows for (`sandwich`)
     freedom = max(3.0, fit.covariance.blocks - 1.0)
     return Estimates(np.asarray(compared(theta)), again * slope @ fit.covariance.matrix @ slope.T, freedom)
