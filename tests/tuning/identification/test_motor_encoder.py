@@ -47,9 +47,9 @@ def test_two_measurements_one_after_the_other_are_both_at_once():
     before, outputs, noises = root @ root.T, np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.4]]), np.array([0.3, 0.01])
     innovations = rng.normal(size=2)
     gain = before @ outputs.T @ np.linalg.inv(outputs @ before @ outputs.T + np.diag(noises))
-    state, covariance = np.zeros(3), tuple(tuple(before[i, i:]) for i in range(3))
+    state, covariance = np.zeros(3), tuple(tuple(before[i, i:].tolist()) for i in range(3))
     for output, noise, measured in zip(outputs, noises, innovations, strict=True):
-        one, seen, variance = kalman_gain_along(covariance, tuple(output), noise)
+        one, seen, variance = kalman_gain_along(covariance, tuple(output.tolist()), float(noise))
         state = state + np.array(one) * (measured - output @ state)
         covariance = update_covariance_along(covariance, one, seen, variance)
     np.testing.assert_allclose(state, gain @ innovations, rtol=1e-12)
