@@ -173,24 +173,20 @@ class MostLikely(NamedTuple):
     deviance_gain: (
         float  # how much smaller the deviance is than with no process force; above 10 or so the model lacks something
     )
-    filter_result: FilterResult
 
 
 def most_likely(
     drive: Drive, delay: Scalar, noise: float, lanes: Lanes, sampling: Sampling, compliance: Scalar = 0.0
 ) -> MostLikely:
-    """Filter the lanes under the likeliest of `PROCESS_FORCES`.
+    """The likeliest of `PROCESS_FORCES`.
 
     The innovations' scale is free in the likelihood: only the ratio of process and measuring noise is at stake.
     """
     delay, processes, noise_std = (jnp.asarray(value) for value in (delay, PROCESS_FORCES, noise))
-    given = (lanes, sampling, jnp.asarray(compliance))
-    deviances = np.asarray(_deviances(drive, delay, processes, noise_std, *given))
+    deviances = np.asarray(_deviances(drive, delay, processes, noise_std, lanes, sampling, jnp.asarray(compliance)))
     found = np.where(np.isfinite(deviances), deviances, np.inf)
     best = int(np.argmin(found)) if np.isfinite(found).any() else len(found) - 1
-    process = float(PROCESS_FORCES[best])
-    gains = filter_lanes(drive, delay, process, noise, *given)
-    return MostLikely(process, float(found[best]), float(found[0] - found[best]), gains)
+    return MostLikely(float(PROCESS_FORCES[best]), float(found[best]), float(found[0] - found[best]))
 
 
 def filter_lanes(

@@ -145,13 +145,13 @@ def _alternate(
     final: tuple[IdentificationProblem, LeastSquaresResult] | None = None
     for _ in range(MAX_ROUNDS):
         process = max(best.process_force / trust, float(PROCESS_FORCES[0]))
-        gains = best.filter_result.gains
-        if process != best.process_force:
-            drive, delay, compliance = _machine(fine, theta, problem)
-            gains = filter_lanes(drive, delay, process, noise, problem.lanes, fine.sampling, compliance).gains
+        drive, delay, compliance = _machine(fine, theta, problem)
+        gains = filter_lanes(drive, delay, process, noise, problem.lanes, fine.sampling, compliance).gains
         filtered = problem._replace(gains=jax.tree.map(np.asarray, gains))
         search = search_once(fine, theta, filtered, progress, min_gain, store=store)
-        new, steps = _most_likely_at(fine, search.theta, problem, noise), steps + search.steps
+        steps += search.steps
+        has_moved = not np.array_equal(search.theta, theta)
+        new = _most_likely_at(fine, search.theta, problem, noise) if has_moved else best
         likelier = new.deviance < best.deviance - MIN_DEVIANCE_GAIN
         if likelier:
             theta, best = search.theta, new

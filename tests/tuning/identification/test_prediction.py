@@ -363,27 +363,26 @@ def filtered_under(amplitude):
     reference = reversal()
     sine = amplitude * np.sin(2 * np.pi * 3.0 * reference.time)
     lanes = logged(replace(DELAYED, sensor=Sensor(noise=NOISE)), reference, disturbance=sine, seed=0)
-    return most_likely(as_arrays(DELAYED), 1.3, NOISE, lanes, SAMPLING)
+    found = most_likely(as_arrays(DELAYED), 1.3, NOISE, lanes, SAMPLING)
+    return found, filter_lanes(as_arrays(DELAYED), 1.3, found.process_force, NOISE, lanes, SAMPLING)
 
 
 def test_an_exact_model_needs_no_force():
-    found = filtered_under(0.0)
+    found, _ = filtered_under(0.0)
     assert found.process_force == PROCESS_FORCES[0]
     assert found.deviance_gain == 0.0
 
 
 def test_a_force_that_the_model_lacks_is_found_in_its_size():
     """A sine is not white: what must be given the filter grows with it, as it grows within the filter's memory."""
-    small, large = filtered_under(2.0), filtered_under(20.0)
+    (small, follows), (large, _) = filtered_under(2.0), filtered_under(20.0)
     assert 0.2 < small.process_force < 20.0
     assert 2.0 < large.process_force < 200.0
     assert large.process_force > 3 * small.process_force
     assert 1e3 < small.deviance_gain < large.deviance_gain
     reference = reversal()
     given = 2.0 * np.sin(2 * np.pi * 3.0 * reference.time)
-    invented = (
-        DELAYED.plant.mass * RATE * np.asarray(small.filter_result.gains.velocity * small.filter_result.innovation)[0]
-    )
+    invented = DELAYED.plant.mass * RATE * np.asarray(follows.gains.velocity * follows.innovation)[0]
     smooth = scipy.ndimage.uniform_filter1d(invented, 80)
     late = reference.time > 0.05  # once the bristle is known
     # the bristle's corrections stand for the rest
@@ -394,6 +393,7 @@ def test_a_force_that_the_model_lacks_is_found_in_its_size():
 def test_without_the_constant_force_the_filter_invents_it():
     drive = eqx.tree_at(lambda d: d.plant.constant_force, DELAYED, 0.0)
     found = most_likely(as_arrays(drive), 1.3, NOISE, noisy_lane(), SAMPLING)
-    force = drive.plant.mass * RATE * np.asarray(found.filter_result.gains.velocity * found.filter_result.innovation)[0]
+    filtered = filter_lanes(as_arrays(drive), 1.3, found.process_force, NOISE, noisy_lane(), SAMPLING)
+    force = drive.plant.mass * RATE * np.asarray(filtered.gains.velocity * filtered.innovation)[0]
     assert found.deviance_gain > 1e3
     assert np.mean(force[200:]) == pytest.approx(12.0, rel=0.3)
