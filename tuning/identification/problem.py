@@ -113,17 +113,13 @@ class Innovations:
         unknowns = SearchSpace(self.free, problem.origin).insert(problem.unknowns, theta)
         return unknowns.drive(problem.believed), unknowns
 
-    def predict(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
-        """What the drive at theta predicts."""
-        return self._predict(*self.unpack(theta, problem), problem)
-
-    def _predict(self, drive: Drive, unknowns: Unknowns, problem: IdentificationProblem) -> Prediction:
-        gains, lanes = problem.gains, problem.lanes
-        return predict(drive, unknowns.delay, gains, lanes, self.sampling, compliance_of(unknowns))
-
-    def __call__(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
+    def evaluate(
+        self, theta: Float[Array, " k"], problem: IdentificationProblem
+    ) -> tuple[Float[Array, " m"], Prediction]:
+        """The residuals at theta, and what the drive there predicts."""
         drive, unknowns = self.unpack(theta, problem)
-        predicted, lanes, gains = self._predict(drive, unknowns, problem), problem.lanes, problem.gains
+        lanes, gains = problem.lanes, problem.gains
+        predicted = predict(drive, unknowns.delay, gains, lanes, self.sampling, compliance_of(unknowns))
 
         def weighed(
             innovation: Float[Array, "lanes n"], counts: Float[Array, "lanes n"], std: Float[Array, "lanes n"]
@@ -137,7 +133,10 @@ class Innovations:
             motor = weighed(predicted.motor_innovation, lanes.motor.counts, gains.motor.innovation_std)
             rows = jnp.stack([rows, motor], axis=-1)
         symmetry = departure_from_symmetry(unknowns, problem.believed_unknowns)
-        return jnp.concatenate([rows.ravel(), problem.prior * theta, symmetry])
+        return jnp.concatenate([rows.ravel(), problem.prior * theta, symmetry]), predicted
+
+    def __call__(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
+        return self.evaluate(theta, problem)[0]
 
 
 def compliance_of(unknowns: Unknowns) -> Scalar:

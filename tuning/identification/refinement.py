@@ -101,7 +101,8 @@ def _by_chords(finest: Innovations, fit: RefinedFit, progress: StepProgress) -> 
     distance = np.inf
     try:
         for count in range(1, MAX_CHORDS + 1):
-            value = np.asarray(residuals_at(finest, jnp.asarray(theta), arrays))
+            residual, predicted = evaluated(finest, jnp.asarray(theta), arrays)
+            value = np.asarray(residual)
             if not np.isfinite(value).all():
                 return None
             progress(count, MAX_CHORDS, float(np.linalg.norm(value)))
@@ -119,7 +120,6 @@ def _by_chords(finest: Innovations, fit: RefinedFit, progress: StepProgress) -> 
         return fit._replace(search=ended)
     search = dataclasses.replace(fit.search, theta=theta, cost=float(np.linalg.norm(value)))
     covariance = _sandwich_of(value, fit.slope, fit.problem, finest.sampling.rate)
-    predicted = predict_at(finest, jnp.asarray(theta), arrays)
     return fit._replace(residuals=finest, search=search, covariance=covariance, steps=0).with_prediction(predicted)
 
 
@@ -230,7 +230,7 @@ def fit_at(fine: Innovations, problem: IdentificationProblem, search: LeastSquar
     """What a search that has ended leaves, and how sure its point is: one more Jacobian."""
     theta, arrays = jnp.asarray(search.theta), as_arrays(problem)
     value, slope = (np.asarray(array) for array in linearised(fine, theta, arrays))
-    predicted = predict_at(fine, theta, arrays)
+    _, predicted = evaluated(fine, theta, arrays)
     innovation, motor_innovation = _innovations(predicted, problem)
     covariance = _sandwich_of(value, slope, problem, fine.sampling.rate)
     velocity = np.asarray(predicted.velocity)
@@ -238,9 +238,11 @@ def fit_at(fine: Innovations, problem: IdentificationProblem, search: LeastSquar
 
 
 @eqx.filter_jit
-def predict_at(fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem) -> Prediction:
-    """What the drive at theta predicts, compiled."""
-    return fine.predict(theta, problem)
+def evaluated(
+    fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem
+) -> tuple[Float[Array, " m"], Prediction]:
+    """The residuals at theta and what the drive there predicts, compiled."""
+    return fine.evaluate(theta, problem)
 
 
 @eqx.filter_jit
@@ -253,12 +255,6 @@ def linearised(
         return jax.jvp(lambda theta: fine(theta, problem), (theta,), (direction,))
 
     return jax.vmap(along, out_axes=(None, 1))(jnp.eye(len(theta)))
-
-
-@eqx.filter_jit
-def residuals_at(fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem) -> Float[Array, " m"]:
-    """The residuals at theta, compiled."""
-    return fine(theta, problem)
 
 
 def _sandwich_of(

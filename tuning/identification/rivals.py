@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from diffdrive.numerics.arrays import as_arrays
 from tuning.identification.estimates import reported_parameters, symmetric_bristle
-from tuning.identification.refinement import ROUGH_GAIN, TOLERANCE, RefinedFit, leading_innovation, predict_at
+from tuning.identification.refinement import ROUGH_GAIN, TOLERANCE, RefinedFit, evaluated, leading_innovation
 from tuning.identification.uncertainty import BLOCK
 from tuning.optimisation.least_squares import Outcome, StepProgress, levenberg_marquardt
 
@@ -86,7 +86,7 @@ def rival_values(
     apart = {free.path for free, is_far in zip(residuals.free, far, strict=True) if is_far} - undetermined
     if search.outcome is Outcome.INTERRUPTED or not apart:
         return ()
-    other = fit.with_prediction(predict_at(residuals, jnp.asarray(search.theta), arrays))
+    other = fit.with_prediction(evaluated(residuals, jnp.asarray(search.theta), arrays)[1])
     (innovation, expected), (other_innovation, _) = leading_innovation(fit), leading_innovation(other)
     is_finite = bool(np.isfinite(other_innovation).all())
     if not is_finite or not is_as_good(other_innovation / expected, innovation / expected, residuals.sampling.rate):

@@ -28,7 +28,7 @@ from tuning.identification.motor_encoder import with_motor_encoder, without_doub
 from tuning.identification.parameters import FIXABLE
 from tuning.identification.prediction import Lanes, MotorReadings, constant_gains, predict
 from tuning.identification.problem import Innovations, lanes_of, sampling_of
-from tuning.identification.refinement import RefinedFit, predict_at, residuals_at
+from tuning.identification.refinement import RefinedFit, evaluated
 from tuning.identification.setup import build_problem
 
 SAMPLING = sampling_of(RATE, 50e-6)
@@ -218,7 +218,7 @@ def test_of_several_logs_some_may_have_one_encoder():
     assert counts[0] > 0.9 * len(logs[0].time)
     assert counts[1] == 0
     innovations = Innovations(setup.free, SAMPLING)
-    found = residuals_at(innovations, jnp.zeros(len(setup.free)), as_arrays(setup.problem))
+    found, _ = evaluated(innovations, jnp.zeros(len(setup.free)), as_arrays(setup.problem))
     rows = np.asarray(found)[: 2 * setup.problem.lanes.position.size].reshape(2, -1, 2)
     assert np.all(np.isfinite(found))
     assert np.any(rows[0, :, 1])
@@ -311,7 +311,7 @@ def at_truth(compliance, *effects):
     found = most_likely(drive, unknowns.delay, setup.noise, lanes, SAMPLING, unknowns.compliance)
     problem = setup.problem._replace(gains=found.filter_result.gains)
     fit = RefinedFit(residuals, problem, SimpleNamespace(theta=theta), None, None, None, None)
-    return fit.with_prediction(predict_at(residuals, jnp.asarray(theta), as_arrays(problem))), setup.noise
+    return fit.with_prediction(evaluated(residuals, jnp.asarray(theta), as_arrays(problem))[1]), setup.noise
 
 
 @pytest.mark.long
