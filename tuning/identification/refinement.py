@@ -27,6 +27,7 @@ TRUST = 10.0
 MIN_DEVIANCE_GAIN = 1.0  # in deviance, twice the logarithm of the likelihood
 TOLERANCE = 1e-6
 ROUGH_GAIN, FINE_GAIN = 1e-5, 1e-7  # share of the cost that three steps of a search must gain to be worth going on
+OFFSET = 1e-3  # of a search's end: with 15 parameters a thousandth of an interval at most (`relative_offset`)
 INTEGRATOR_ERROR = 1e-2  # N of process force: what steps of `FINE_SUBSTEP` look like to the filter, and more
 MAX_CHORDS, SETTLED = 6, 0.01  # steps at a quarter of the substep, and of a standard error, from which on it stays
 SMOOTHING, SETTLING = 0.02, 0.1  # s
@@ -211,8 +212,9 @@ def search_once(
     stored = None if store is None else store.read(key)
     if stored is None:
         search = levenberg_marquardt(
-            fine, theta, arrays, max_steps=max_steps, tolerance=TOLERANCE, min_gain=min_gain, progress=progress
-        )
+            fine, theta, arrays, max_steps=max_steps, tolerance=TOLERANCE, min_gain=min_gain, min_offset=OFFSET,
+            progress=progress,
+        )  # fmt: skip
         if store is not None and not was_interrupted(search):
             store.write(key, {name: np.asarray(array) for name, array in dataclasses.asdict(search).items()})
     else:

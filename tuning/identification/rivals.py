@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from diffdrive.numerics.arrays import as_arrays
 from tuning.identification.estimates import reported_parameters, symmetric_bristle
-from tuning.identification.refinement import ROUGH_GAIN, TOLERANCE, RefinedFit, evaluated, leading_innovation
+from tuning.identification.refinement import OFFSET, ROUGH_GAIN, TOLERANCE, RefinedFit, evaluated, leading_innovation
 from tuning.identification.uncertainty import BLOCK
 from tuning.optimisation.least_squares import Outcome, StepProgress, levenberg_marquardt
 
@@ -77,8 +77,9 @@ def rival_values(
         return ()
     residuals, arrays = fit.residuals, as_arrays(fit.problem)
     search = levenberg_marquardt(
-        residuals, start, arrays, max_steps=STEPS, tolerance=TOLERANCE, min_gain=ROUGH_GAIN, progress=progress
-    )
+        residuals, start, arrays, max_steps=STEPS, tolerance=TOLERANCE, min_gain=ROUGH_GAIN, min_offset=OFFSET,
+        progress=progress,
+    )  # fmt: skip
     moved = np.abs(search.theta - fit.search.theta)
     # two answers within their intervals are one
     allowed = np.sqrt(2.0) * fit.covariance.quantile * np.sqrt(np.diag(fit.covariance.matrix))

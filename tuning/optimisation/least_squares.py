@@ -123,14 +123,32 @@ def _begin(residuals: Residuals, solver: LevenbergMarquardt, theta: Theta, args:
     return solver.init(fn, theta, args, OPTIONS, f_struct, aux_struct, NO_TAGS)
 
 
+def relative_offset(residual: Float[Array, " m"], jacobian: Float[Array, "m k"]) -> Float[Array, ""]:
+    """How far from the minimum a point is, beside how well its residuals say where that is.
+
+    The part of the residual that the columns of the Jacobian span, over the rest, each as a root mean square. Times the
+    root of k it bounds how many standard errors any parameter, or combination of some, is from its estimate (Bates and
+    Watts, A relative offset orthogonality convergence criterion for nonlinear least squares, Technometrics 23, 1981).
+    Infinite where there are no more residuals than parameters, and NaN where one of these has no effect.
+    """
+    count, parameters = jacobian.shape
+    if count <= parameters:
+        return jnp.asarray(jnp.inf)
+    columns = jacobian / jnp.linalg.norm(jacobian, axis=0)  # parameters differ by many orders in what they do
+    along = residual @ columns
+    spanned = along @ jnp.linalg.solve(columns.T @ columns, along)
+    return jnp.sqrt(spanned / parameters / ((residual @ residual - spanned) / (count - parameters)))
+
+
 @eqx.filter_jit
 def _step(
     residuals: Residuals, solver: LevenbergMarquardt, theta: Theta, args: PyTree, state: PyTree
-) -> tuple[Theta, PyTree, Array, Array, optx.RESULTS]:
+) -> tuple[Theta, PyTree, Array, Array, Array, optx.RESULTS]:
     fn = _scaled(residuals)
     theta, state, _ = solver.step(fn, theta, args, OPTIONS, state, NO_TAGS)
     finished, result = solver.terminate(fn, theta, args, OPTIONS, state, NO_TAGS)
-    return theta, state, args[0] * jnp.sqrt(2.0 * state.f_info.as_min()), finished, result
+    offset = relative_offset(state.f_info.residual, state.f_info.jac.as_matrix())
+    return theta, state, args[0] * jnp.sqrt(2.0 * state.f_info.as_min()), offset, finished, result
 
 
 def levenberg_marquardt(
@@ -141,6 +159,7 @@ def levenberg_marquardt(
     max_steps: int,
     tolerance: float,
     min_gain: float = 1e-7,
+    min_offset: float = 0.0,
     progress: StepProgress = no_progress,
 ) -> LeastSquaresResult:
     """Minimise the sum of squares of `residuals(theta, args)` from `theta`.
@@ -148,7 +167,8 @@ def levenberg_marquardt(
     Stops when a step changes neither the cost, relative to the first, nor the point by more than `tolerance`, after
     `max_steps`, or when interrupted (Ctrl-C), and returns the best point seen in any case. The Jacobian is
     forward-mode: it costs about twice a simulation with a handful of parameters. Raises `DivergenceError` if the start
-    itself has no finite cost. `min_gain` is the share of the cost that three steps must gain to be worth going on.
+    itself has no finite cost. `min_gain` is the share of the cost that three steps must gain to be worth going on,
+    `min_offset` the `relative_offset` below which a point is the minimum.
     """
     started = time.perf_counter()
     point = jnp.asarray(theta)
@@ -164,7 +184,7 @@ def levenberg_marquardt(
     try:
         state = _begin(residuals, solver, point, scaled_args)
         for count in range(1, max_steps + 1):
-            point, state, value, finished, result = _step(residuals, solver, point, scaled_args, state)
+            point, state, value, offset, finished, result = _step(residuals, solver, point, scaled_args, state)
             new_cost = float(value)
             history.append(new_cost)
             if np.isfinite(new_cost) and new_cost < cost:
@@ -172,7 +192,10 @@ def levenberg_marquardt(
             progress(count, max_steps, cost)
             if accepted_costs[-1] != float(new_cost):
                 accepted_costs.append(float(new_cost))  # a step that was taken, not one that only raised the damping
-            if len(accepted_costs) > STALLED_STEPS and accepted_costs[-1 - STALLED_STEPS] - cost < min_gain * cost:
+            has_stalled = (
+                len(accepted_costs) > STALLED_STEPS and accepted_costs[-1 - STALLED_STEPS] - cost < min_gain * cost
+            )
+            if has_stalled or float(offset) < min_offset:
                 outcome, status = Outcome.CONVERGED, "converged"
                 break
             if bool(finished):

@@ -10,7 +10,7 @@ from diffdrive.controllers.base import PDGains
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.model.parameters import Plant
 from diffdrive.numerics.arrays import as_arrays
-from tuning.optimisation.least_squares import Outcome, levenberg_marquardt
+from tuning.optimisation.least_squares import Outcome, levenberg_marquardt, relative_offset
 from tuning.optimisation.space import FreeParameter, search_space, space_around
 
 
@@ -112,6 +112,37 @@ def test_an_interrupted_search_returns_the_best_it_has_seen():
     )
     assert (found.outcome, found.status) == (Outcome.INTERRUPTED, "interrupted after 2 steps")
     assert found.cost == min(found.history) < found.initial_cost
+
+
+def bent(y, times):
+    """Residuals of a curve that no choice of its three numbers fits."""
+    return y[0] * jnp.exp(-y[1] * times) + y[2] * times - jnp.cos(3.0 * times)
+
+
+def test_the_relative_offset_is_the_distance_from_the_minimum_in_standard_errors():
+    random = np.random.default_rng(3)
+    slope, data = random.normal(size=(50, 4)) * [1.0, 1e-2, 1e2, 1.0], random.normal(size=50)
+    best, rest = np.linalg.lstsq(slope, data)[:2]
+    scatter = np.sqrt(rest[0] / 46)
+    errors = scatter * np.sqrt(np.diag(np.linalg.inv(slope.T @ slope)))
+    for shift in random.normal(size=(5, 4)) * 1e-2:
+        point = best + errors * shift
+        offset = float(relative_offset(jnp.asarray(slope @ point - data), jnp.asarray(slope)))
+        assert 2.0 * offset == pytest.approx(np.linalg.norm(slope @ (errors * shift)) / scatter, rel=1e-6)
+        assert 2.0 * offset >= np.max(np.abs(shift)) * (1 - 1e-9)
+    assert float(relative_offset(jnp.asarray(data[:4]), jnp.asarray(slope[:4]))) == np.inf
+    without_effect = slope * [1.0, 0.0, 1.0, 1.0]
+    assert not float(relative_offset(jnp.asarray(data), jnp.asarray(without_effect))) < 1.0
+
+
+def test_a_search_that_begins_at_the_minimum_ends_there():
+    times = jnp.linspace(0.0, 2.0, 40)
+    settings = {"max_steps": 50, "tolerance": 0.0, "min_gain": 0.0, "min_offset": 1e-3}
+    first = levenberg_marquardt(bent, np.array([3.0, -2.0, 1.0]), times, **settings)
+    again = levenberg_marquardt(bent, first.theta, times, **settings)
+    assert first.outcome is again.outcome is Outcome.CONVERGED
+    assert 1 == again.steps < first.steps < 50
+    np.testing.assert_array_equal(again.theta, first.theta)
 
 
 def test_a_search_from_a_diverging_start_is_refused():
