@@ -176,8 +176,8 @@ def test_an_objective_is_asked_for_by_its_name(shop, tmp_path):
     costs = 1e6 * np.sqrt(np.mean(signals.error**2, axis=1))
     assert float(Objective(aggregation="sum of squares")(signals)) == pytest.approx(np.sum(costs**2))
     AXIS.write(tmp_path / "axis.toml")
-    with pytest.raises(dd.errors.DiffdriveError, match="--noise"):  # not the aggregation, which is looked at before
-        told("tune", tmp_path / "axis.toml", "--aggregation", "sum of squares", "--noise", "loud")
+    with pytest.raises(dd.errors.DiffdriveError, match="--command-noise"):  # looked at after aggregation
+        told("tune", tmp_path / "axis.toml", "--aggregation", "sum of squares", "--command-noise", "loud")
 
 
 @pytest.mark.slow

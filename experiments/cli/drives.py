@@ -74,7 +74,9 @@ def margins(
     ] = None,
     of: MeasuredOf = None,
     unit: MeasuredUnit = None,
-    speed: Annotated[str, typer.Option(help="Speed at which the loop is linearised; 0 is standstill.")] = "10 mm/s",
+    velocity: Annotated[
+        str, typer.Option(help="Velocity at which the loop is linearised; 0 is standstill.")
+    ] = "10 mm/s",
     load: Annotated[str, typer.Option(help="Load on the guides.")] = "0 N",
     out: Out = None,
     svg: Svg = False,
@@ -93,10 +95,11 @@ def margins(
     from experiments.reports.report import Report
 
     axis = read_axis(drive)
-    velocity, force = number(speed, "m/s", "--speed", axis.sheet), nonnegative_number(load, "N", "--load", axis.sheet)
+    about = number(velocity, "m/s", "--velocity", axis.sheet)
+    force = nonnegative_number(load, "N", "--load", axis.sheet)
     response = None if measured is None else read_frequency_response(measured, of, unit=unit)
     with Report(f"{drive.name}: margins", out) as report:
-        stable = report_margins(report, axis, response, velocity=velocity, load=force)
+        stable = report_margins(report, axis, response, velocity=about, load=force)
     if not stable:
         raise typer.Exit(3)
 
@@ -133,7 +136,7 @@ def tune(
     phase_margin: Annotated[
         float, typer.Option(callback=finite, min=0.0, max=90.0, help="Smallest phase margin in degrees.")
     ] = 30.0,
-    sensitivity: Annotated[
+    peak_sensitivity: Annotated[
         float | None,
         typer.Option(
             callback=finite,
@@ -141,7 +144,7 @@ def tune(
             help="Largest peak sensitivity, Ms (1.8 keeps a modulus margin of 0.55); by default not limited.",
         ),
     ] = None,
-    noise: Annotated[
+    command_noise: Annotated[
         str | None,
         typer.Option(help="Largest command noise, RMS, or none; by default twice that of the gains as given."),
     ] = None,
@@ -191,7 +194,7 @@ def tune(
     then it says which and by how much, and ends with code 3. Interrupted or killed, the same command with the same
     --out goes on where it stopped.
 
-    Example: `diffdrive tune drive.toml --noise 20N --phase-margin 35 --out tuned`
+    Example: `diffdrive tune drive.toml --command-noise 20N --phase-margin 35 --out tuned`
     """
     from diffdrive.axis_file.drive_file import read_axis
     from diffdrive.errors import ParameterError
@@ -213,13 +216,13 @@ def tune(
     limits = {
         name: None if text.strip().lower() == "none" else nonnegative_number(text, "N", option, axis.sheet)
         for name, option, text in (
-            ("command_noise", "--noise", noise),
+            ("command_noise", "--command-noise", command_noise),
             ("load_error", "--load-error", load_error),
         )
         if text is not None
     }
     requirements = Requirements(
-        gain_margin=gain_margin, phase_margin=phase_margin, peak_sensitivity=sensitivity, **limits
+        gain_margin=gain_margin, phase_margin=phase_margin, peak_sensitivity=peak_sensitivity, **limits
     )
     speed_of_reversal = number(speed, "m/s", "--speed", axis.sheet)
     front = numbers(pareto, "N", "--pareto", axis.sheet) if pareto else []

@@ -126,7 +126,7 @@ def identify(
     column: Columns = None,
     unit: Units = None,
     shift: Shifts = None,
-    fix: Annotated[
+    fixed: Annotated[
         list[str] | None,
         typer.Option(help="A parameter that keeps the drive file's value, by its key there: `mass`; repeatable."),
     ] = None,
@@ -164,7 +164,7 @@ def identify(
 
     converged = identify_drive(
         log, drive, out, columns=column or (), units=unit or (), shifts=shift or (),
-        fixed=fix or (), bounds=bound or (), loads=load or (),
+        fixed=fixed or (), bounds=bound or (), loads=load or (),
         starts=starts, seed=seed, held_out=held_out or (), force=force,
     )  # fmt: skip
     if not converged:

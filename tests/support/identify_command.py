@@ -17,7 +17,7 @@ STROKES = (
     (1e-3, 3e-3, 0.3, 30.0),
 )
 # the same question wherever one is asked in full, so that it is compiled once
-QUESTION = ("--starts", 2, "--fix", "stribeck_velocity", "--bound", "mass=70kg:150")
+QUESTION = ("--starts", 2, "--fixed", "stribeck_velocity", "--bound", "mass=70kg:150")
 MOTION = concatenate([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05, RATE)], "reversals")
 
 

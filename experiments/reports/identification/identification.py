@@ -64,7 +64,7 @@ def identify_drive(
     axis = axis_with_overrides(drive, columns, units, shifts, [*paths, *held_out])
     bounded = parse_bounds(bounds, axis.sheet)
     for name in fixed:
-        parameter_called(name, FIXABLE, f"--fix {name}: no such parameter")
+        parameter_called(name, FIXABLE, f"--fixed {name}: no such parameter")
     applied = parse_loads(loads, [*paths, *held_out], axis.sheet)
     with Report(f"{drive.name}: identification from {', '.join(path.name for path in paths)}", out) as report:
         checked = partial(read_sound_logs, description=axis, report=report, force=force, loads=applied)

@@ -37,7 +37,7 @@ LIGHT = {
 }
 HEAVY = {
     "convergence": ("convergence", PAPER_DRIVE),
-    "tune": ("tune", PAPER_DRIVE, "--starts", 1, "--steps", 2, "--loads", 2, "--machines", 1, "--noise", "1kN"),
+    "tune": ("tune", PAPER_DRIVE, "--starts", 1, "--steps", 2, "--loads", 2, "--machines", 1, "--command-noise", "1kN"),
     "identify": ("identify", "lap.csv", "--drive", "drive.toml", "--starts", 1),
     "diagnose": ("diagnose", "lap.csv", "--drive", "drive.toml", "--most-effects", 1),
     "demo": ("demo", "--quick"),

@@ -57,7 +57,7 @@ HUGE = {
     "a gain margin": ("tune", ("--gain-margin", "1e6"), r"--gain-margin 1e\+06: must be at most 313 dB, beyond which"),
     "no gain margin": ("tune", ("--gain-margin", "inf"), "--gain-margin: must be a finite number, got inf"),
     "starts": ("tune", ("--starts", "1000000000"), r"1e\+09 starts would take about 10 TB of memory"),
-    "a noise of 400 digits": ("tune", ("--noise", "1" * 400), "is larger than any number"),
+    "a noise of 400 digits": ("tune", ("--command-noise", "1" * 400), "is larger than any number"),
     "a speed": ("tune", ("--speed", "1e300"), "position leaves|lost in the rounding|floating-point"),
     "a hair's speed": ("tune", ("--speed", "1e-300"), "lost in the rounding|floating-point|check the units"),
 }  # fmt: skip

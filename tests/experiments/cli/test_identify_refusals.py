@@ -17,7 +17,7 @@ from tests.support.identify_command import MOTION, TRUE, run
 from tests.support.sound_log import simulate_log
 
 FAULTS = {
-    "no such parameter": (("--fix", "mas"), r"--fix mas: no such parameter; did you mean 'mass'"),
+    "no such parameter": (("--fixed", "mas"), r"--fixed mas: no such parameter; did you mean 'mass'"),
     "no such bound": (("--bound", "mas=1:2"), r"--bound mas: no such parameter"),
     "half a bound": (("--bound", "mass=80"), r"--bound mass=80: write NAME=LOW:HIGH"),
     "bounds reversed": (("--bound", "mass=120:80"), r"--bound mass=120:80: the lower end must be below"),

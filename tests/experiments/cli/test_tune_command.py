@@ -43,7 +43,7 @@ rate = "2 kHz"
 [units]
 force_per_volt = 159.593
 """
-QUICK = ("--loads", 2, "--machines", 1, "--starts", 2, "--noise", "30N")
+QUICK = ("--loads", 2, "--machines", 1, "--starts", 2, "--command-noise", "30N")
 
 
 @pytest.fixture(scope="module")
@@ -105,17 +105,17 @@ def test_quieter_costs_tracking(done):
     ("option", "value", "says"),
     [
         ("--speed", "10 kg", "--speed"),
-        ("--noise", "loud", "--noise"),
+        ("--command-noise", "loud", "--command-noise"),
         ("--max-load", "3 mm", "--max-load"),
         ("--pareto", "5;x N", "--pareto"),
         ("--aggregation", "median", "no aggregation 'median'; known: mean, worst, cvar"),
         ("--speed", "0 mm/s", "speed"),
         ("--max-load", "-90 kN", "load"),
-        ("--noise", "-3 N", "--noise -3 N: must be 0 or more"),
+        ("--command-noise", "-3 N", "--command-noise -3 N: must be 0 or more"),
         ("--load-error", "-1 N", "--load-error -1 N: must be 0 or more"),
         ("--load-error", "100 N", "load_error: this controller estimates no load"),
         ("--spread", "60%", "spread 60%: give a share from 0 to 50%, as 3% or 0.03"),
-        ("--noise", "0 N", "command_noise: must be above 0 N"),
+        ("--command-noise", "0 N", "command_noise: must be above 0 N"),
     ],
 )
 def test_a_bad_option_is_named(drive_file, option, value, says):
@@ -125,7 +125,7 @@ def test_a_bad_option_is_named(drive_file, option, value, says):
 
 @pytest.mark.long
 def test_what_cannot_be_kept_ends_with_3_and_writes_no_drive(drive_file, tmp_path):
-    result = tune(drive_file, *QUICK, "--noise", "0.01N", "--out", tmp_path)
+    result = tune(drive_file, *QUICK, "--command-noise", "0.01N", "--out", tmp_path)
     assert result.exit_code == 3
     assert "NOT KEPT: command noise, missed by" in result.output
     assert not (tmp_path / "tuned.toml").exists()
