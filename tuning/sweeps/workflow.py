@@ -89,7 +89,7 @@ def sweep(
         cluster: The address of a Dask scheduler whose workers do the work, such as `tcp://host:8786`.
         resume: A folder in which the machines that are finished are kept: the same call continues an interrupted sweep
             from there and ends with the same numbers to the last bit, and `diffdrive replay` runs any machine of it.
-        out: A folder for the result (`sweep.json`), and for finished machines where `resume` names no other.
+        out: The same as `resume`, and the result is saved there, too (`sweep.json`). Give one of the two.
         progress: Called with (stage, done, of how many).
         started: Called with the plan and the notes, when all machines are found possible and before the first one runs.
         notify: Called with a sentence where something keeps workers from their work; by default it is logged.
@@ -110,6 +110,8 @@ def sweep(
         require_axis(other, f"against {name}")
     if machine is not None:
         require_axis(machine, "machine")
+    if resume is not None and out is not None:
+        raise ParameterError("resume, out: give one: out keeps the finished machines as resume does, and the result")
     require_choice("by", "error", by, ERRORS)
     if tolerance is not None and not tolerance > 0.0:
         raise ParameterError(f"tolerance: must be above zero, in m, got {tolerance!r}")
@@ -121,7 +123,7 @@ def sweep(
         seed=int(seed), load=load if isinstance(load, str) else f"{float(load):.17g}", settle=float(settle),
         correlation=varied.correlation, precision=precision,
     )  # fmt: skip
-    kept = out if resume is None else resume
+    kept = resume if out is None else out
     folder = None if kept is None else Path(kept)
     with reporting(progress) as advance:
         result = run_sweep(

@@ -126,6 +126,7 @@ def test_a_sweep_says_that_an_estimator_diverges_before_it_runs_and_afterwards(t
     [
         ({"by": "peak_m"}, "by: no error 'peak_m'; known: rms, peak"),
         ({"tolerance": -1.0}, "tolerance: must be above zero"),
+        ({"out": "swept"}, "resume, out: give one"),
         ({"method": "grid"}, "method: no method 'grid'; known: sobol"),
         ({"precision": "half"}, "precision: no precision 'half'; known: double, single"),
         ({"settle": 0.1}, r"settle: 0\.1 s leaves nothing of sine"),
