@@ -1,5 +1,6 @@
 """`diffdrive tune`: gains by gradient within margins, proved on what they were not tuned on."""
 
+import shutil
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,7 @@ UNITS = {
     "load_error": "load_error_N",
     "settling": "settling_s",
 }
+PARETO = "tuning.pareto"  # checkpoints of the limits of a front, a folder each
 LARGE_LOAD_ERROR = 1.0  # kN
 
 
@@ -48,11 +50,16 @@ def tune_and_report(axis: Axis, report: Report, *, pareto: Sequence[float] = (),
     if result.status.code == "interrupted" and checkpoint is not None and checkpoint.exists():
         report.say(f"The same command continues the search from {CHECKPOINT}.")
     report_tuning(report, result)
+    parts = None if report.out is None else report.out / PARETO
+    interrupted = False
     if pareto:
         with report.stages() as advance, stop_at_next_step(advance, report.say) as progress:
-            front = pareto_front(result, pareto, progress=progress)
+            front = pareto_front(result, pareto, resume=parts, progress=progress)
         report_pareto(report, front)
-    if result.accepted and checkpoint is not None:
+        interrupted = front.status.code == "interrupted"
+    if parts is not None and not interrupted:
+        shutil.rmtree(parts, ignore_errors=True)
+    if result.accepted and checkpoint is not None and not interrupted:
         checkpoint.unlink(missing_ok=True)
     return result
 

@@ -140,6 +140,23 @@ def test_a_pareto_front_is_searched_as_its_result_was(tuned, searched_again, tmp
 
 
 @pytest.mark.long
+def test_a_pareto_front_goes_on_from_its_folder(tuned, tmp_path):
+    raised = []
+
+    def interrupts(stage, done, most):  # once, as Ctrl-C does
+        if "20 N" in stage and done and not raised:
+            raised.append(done)
+            raise KeyboardInterrupt
+
+    stopped = tuning.pareto_front(tuned[0], [10.0, 20.0], resume=tmp_path, progress=interrupts)
+    assert (stopped.status.code, len(stopped.points)) == ("interrupted", 1)
+    steps = []
+    front = tuning.pareto_front(tuned[0], [10.0, 20.0], resume=tmp_path, progress=lambda *one: steps.append(one))
+    assert front.points == tuning.pareto_front(tuned[0], [10.0, 20.0]).points
+    assert not [done for stage, done, _ in steps if "10 N" in stage and done < 3]  # that one had come to its end
+
+
+@pytest.mark.long
 def test_a_pareto_front_says_what_it_has_not(tuned, searched_again):
     found, search = searched_again[1], tuned[0].search
     constraints = {**search.point.constraints, "phase margin": np.array([0.2])}

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -67,18 +68,25 @@ class ParetoFront(Result):
 
 
 def pareto_front(
-    result: TuningResult, noise_limits: Sequence[float], *, progress: Progress | None = None, throw: bool = False
+    result: TuningResult,
+    noise_limits: Sequence[float],
+    *,
+    resume: str | Path | None = None,
+    progress: Progress | None = None,
+    throw: bool = False,
 ) -> ParetoFront:
     """Tune a result's axis again under each limit of the command noise (N), and judge the gains held out.
 
     Args:
         result: Of `tune`: its scenarios, other requirements, objective, free gains and search options are kept.
         noise_limits: Limits of the RMS command noise (N), each above 0.
+        resume: A folder in which what is finished is kept, from which the same call continues.
         progress: Called with (stage, done, of how many).
         throw: Raise an error where the front is not ok.
 
     Raises:
         ParameterError: There is no limit, or one is not above 0.
+        CheckpointError: What is in the folder `resume` is of another call.
         ResultError: The front is not ok, with `throw`.
 
     Examples:
@@ -97,7 +105,7 @@ def pareto_front(
     with reporting(progress) as advance:
         for k, limit in enumerate(sorted(noise_limits)):
             with searching(advance, f"tuning within {limit:g} N of command noise") as step:
-                found = _tuned_under(result, limit, step)
+                found = _tuned_under(result, limit, None if resume is None else Path(resume) / f"{limit:.17g} N", step)
             if found.interrupted:
                 status = Status(False, f"interrupted after {k} of {len(noise_limits)} limits", code="interrupted")
                 break
@@ -110,14 +118,14 @@ def pareto_front(
     return front.require_ok() if throw else front
 
 
-def _tuned_under(result: TuningResult, limit: float, progress: StepProgress) -> GainSearch:
+def _tuned_under(result: TuningResult, limit: float, resume: Path | None, progress: StepProgress) -> GainSearch:
     """The axis as it was given, tuned as before but for this limit of the command noise (N)."""
     setup = result.setup
     limits = setup.constraints.limits._replace(command_noise=limit)
     constraints = replace(setup.constraints, limits=limits)
     return search_gains(
         result.initial_axis.controller, setup.lanes, constraints, setup.space, objective=result.objective,
-        options=result.options, progress=progress,
+        options=result.options, resume=resume, progress=progress,
     )  # fmt: skip
 
 
