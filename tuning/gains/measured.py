@@ -1,7 +1,7 @@
 """Required margins of the loop with a measured plant, beside those of the model's."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from diffdrive.axis import Axis
 from diffdrive.controllers import Controller
@@ -38,10 +38,10 @@ class MeasuredMargins(NamedTuple):
 
 def responses_of(measured: object) -> tuple[FrequencyResponse, ...]:
     """One measured response or several; raises `ParameterError` for what is none."""
-    responses = tuple(measured) if isinstance(measured, list | tuple) else (measured,)
+    responses: Sequence[Any] = measured if isinstance(measured, list | tuple) else [measured]
     for one in responses:
         require_response(one)
-    return responses
+    return tuple(responses)
 
 
 def measured_margins_of(
