@@ -320,10 +320,13 @@ def by_scale_alone(fit: RefinedFit, noise: float) -> RefinedFit:
     """The same answer, filtered by the scale without the motor's encoder; `noise` (m) is the scale's."""
     problem = fit.problem._replace(lanes=fit.problem.lanes._replace(motor=None))
     likeliest = _most_likely_at(fit.residuals, fit.search.theta, problem, noise)
-    gains, innovation = jax.tree.map(np.asarray, likeliest.filter_result[:2])
-    counted = innovation * np.asarray(problem.lanes.counts)
+    drive, delay, compliance = _machine(fit.residuals, fit.search.theta, problem)
+    given = (noise, problem.lanes, fit.residuals.sampling, compliance)
+    filtered = filter_lanes(drive, delay, likeliest.process_force, *given)
+    counted = np.asarray(filtered.innovation) * np.asarray(problem.lanes.counts)
+    problem = problem._replace(gains=jax.tree.map(np.asarray, filtered.gains))
     return fit._replace(
-        problem=problem._replace(gains=gains), innovation=counted, motor_innovation=None,
+        problem=problem, innovation=counted, motor_innovation=None,
         process_force=likeliest.process_force, deviance_gain=likeliest.deviance_gain,
     )  # fmt: skip
 

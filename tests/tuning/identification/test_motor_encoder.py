@@ -308,8 +308,9 @@ def at_truth(compliance, *effects):
     theta = np.log(share / (1.0 - share)) - setup.problem.origin
     residuals = Innovations(setup.free, SAMPLING)
     drive, unknowns = residuals.unpack(jnp.asarray(theta), setup.problem)
-    found = most_likely(drive, unknowns.delay, setup.noise, lanes, SAMPLING, unknowns.compliance)
-    problem = setup.problem._replace(gains=found.filter_result.gains)
+    given = (setup.noise, lanes, SAMPLING, unknowns.compliance)
+    process = most_likely(drive, unknowns.delay, *given).process_force
+    problem = setup.problem._replace(gains=filter_lanes(drive, unknowns.delay, process, *given).gains)
     fit = RefinedFit(residuals, problem, SimpleNamespace(theta=theta), None, None, None, None)
     return fit.with_prediction(evaluated(residuals, jnp.asarray(theta), as_arrays(problem))[1]), setup.noise
 
