@@ -10,6 +10,7 @@ from experiments.cli.command import BETWEEN, Comparing, Computing
 from experiments.cli.options import (
     Columns,
     DriveOption,
+    Fixed,
     Loads,
     Logs,
     Out,
@@ -126,10 +127,7 @@ def identify(
     column: Columns = None,
     unit: Units = None,
     shift: Shifts = None,
-    fixed: Annotated[
-        list[str] | None,
-        typer.Option(help="A parameter that keeps the drive file's value, by its key there: `mass`; repeatable."),
-    ] = None,
+    fixed: Fixed = None,
     bound: Annotated[
         list[str] | None, typer.Option(help="NAME=LOW:HIGH, in SI or with units: `mass=80:120`; repeatable.")
     ] = None,
@@ -186,10 +184,7 @@ def compare(
     column: Columns = None,
     unit: Units = None,
     shift: Shifts = None,
-    fix: Annotated[
-        list[str] | None,
-        typer.Option(help="A parameter that keeps the drive file's value, by its key there: `mass`; repeatable."),
-    ] = None,
+    fixed: Fixed = None,
     load: Loads = None,
     level: Annotated[
         float,
@@ -218,7 +213,7 @@ def compare(
     from experiments.reports.comparison import compare_logs
 
     sure = compare_logs(
-        before, after, drive, out, columns=column or (), units=unit or (), shifts=shift or (), fixed=fix or (),
+        before, after, drive, out, columns=column or (), units=unit or (), shifts=shift or (), fixed=fixed or (),
         loads=load or (), level=level, starts=starts, seed=seed, force=force,
     )  # fmt: skip
     if not sure:

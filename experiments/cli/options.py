@@ -132,6 +132,12 @@ Settle = Annotated[
     float,
     typer.Option("--settle", callback=finite, min=0.0, help="Seconds at the start that do not count for the errors."),
 ]
+Fixed = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fixed", help="A parameter that keeps the drive file's value, by its key there: `mass`; repeatable."
+    ),
+]
 Seed = Annotated[int, typer.Option("--seed", callback=seed_of, help="Seed of the random numbers.")]
 MotionText = Annotated[
     str,

@@ -46,7 +46,7 @@ def compare_logs(
     paths = [*before, *after]
     axis = axis_with_overrides(drive, columns, units, shifts, paths)
     for name in fixed:
-        parameter_called(name, FIXABLE, f"--fix {name}: no such parameter")
+        parameter_called(name, FIXABLE, f"--fixed {name}: no such parameter")
     applied = parse_loads(loads, paths, axis.sheet)
     title = f"{drive.name}: {', '.join(path.name for path in after)} against {', '.join(path.name for path in before)}"
     with Report(title, out) as report:

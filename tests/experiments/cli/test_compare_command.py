@@ -21,9 +21,9 @@ def asked(monkeypatch):
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("a.csv", "b.csv", "--", "c.csv", "--drive", "d.toml", "--out", "found", "--fix", "mass"),
-        ("--drive", "d.toml", "--fix", "mass", "--out", "found", "a.csv", "b.csv", "--", "c.csv"),
-        ("a.csv", "--drive", "d.toml", "b.csv", "--out", "found", "--", "--fix", "mass", "c.csv"),
+        ("a.csv", "b.csv", "--", "c.csv", "--drive", "d.toml", "--out", "found", "--fixed", "mass"),
+        ("--drive", "d.toml", "--fixed", "mass", "--out", "found", "a.csv", "b.csv", "--", "c.csv"),
+        ("a.csv", "--drive", "d.toml", "b.csv", "--out", "found", "--", "--fixed", "mass", "c.csv"),
     ],
 )
 def test_options_stand_on_either_side_of_the_logs(asked, arguments):

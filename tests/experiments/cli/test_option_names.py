@@ -15,6 +15,7 @@ COMMANDS = {
     "tune": (drives.tune, (tuning.tune,), {"max_load", "loads", "steps", "pareto"}),
     "margins": (drives.margins, (dd.compare_frequency_response,), set()),
     "identify": (logs.identify, (tuning.identify,), set()),
+    "compare": (logs.compare, (tuning.compare,), set()),
     "diagnose": (logs.diagnose, (tuning.diagnose,), {"tune"}),
     "start": (logs.start, (tuning.start,), set()),
     "sweep": (sweeps.sweep, (tuning.sweep,), {"record"}),
