@@ -11,6 +11,7 @@ from diffdrive.logs import Log
 from tuning.comparison.change import Change, relative
 from tuning.comparison.changes import CONFIDENCE, POWER, Estimates, Interval
 from tuning.comparison.changes import Difference as Changes
+from tuning.comparison.sides import Sides
 from tuning.identification.controller.compare import (
     Difference,
     Named,
@@ -57,25 +58,12 @@ class ControllerChanges(NamedTuple):
     notes: tuple[str, ...]
 
 
-class ControllerSides(NamedTuple):
-    """The controllers of each side's logs that show a cascade, and why others do not."""
-
-    before: tuple[LogController, ...]
-    after: tuple[LogController, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def are_comparable(self) -> bool:
-        """Whether both sides show one."""
-        return bool(self.before and self.after)
-
-
-def controllers_of(before: Sequence[Log], after: Sequence[Log], control_rate: float | None) -> ControllerSides:
-    """The cascade of each log that has a reference; `control_rate` (Hz) where it is known."""
+def controllers_of(before: Sequence[Log], after: Sequence[Log], control_rate: float | None) -> Sides[LogController]:
+    """The cascade of each log that has a reference and shows one; `control_rate` (Hz) where it is known."""
     notes: list[str] = []
     first = _of_side(before, "before", control_rate, notes)
     second = _of_side(after, "after", control_rate, notes)
-    return ControllerSides(first, second, tuple(notes))
+    return Sides(first, second, tuple(notes))
 
 
 def _of_side(logs: Sequence[Log], name: str, control_rate: float | None, notes: list[str]) -> tuple[LogController, ...]:
@@ -104,7 +92,7 @@ def _of_side(logs: Sequence[Log], name: str, control_rate: float | None, notes: 
     return tuple(found)
 
 
-def controller_changes(sides: ControllerSides, level: float) -> ControllerChanges:
+def controller_changes(sides: Sides[LogController], level: float) -> ControllerChanges:
     """The gains before and after, and a sentence for each that differs; a false one in a share `level`, or fewer.
 
     Half of the level is that of the gains one by one; the other is that of all together, by which two that the logs do

@@ -19,6 +19,7 @@ from diffdrive.logs.encoders.regression import Estimate
 from diffdrive.logs.encoders.result import EncoderComparison
 from tuning.comparison.change import Change
 from tuning.comparison.changes import CONFIDENCE, Difference, Estimates, Interval
+from tuning.comparison.sides import Sides
 
 QUANTITIES = (
     ("reversal_error", "the reversal error of motor against table", "m"),
@@ -29,19 +30,6 @@ QUANTITIES = (
 BLIND = "one encoder, so play and wind-up of the screw cannot be seen: log motor and scale to have them compared, too"
 
 
-class EncoderSides(NamedTuple):
-    """The comparisons of each side's logs that have two encoders, and why others have none."""
-
-    before: tuple[EncoderComparison, ...]
-    after: tuple[EncoderComparison, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def are_comparable(self) -> bool:
-        """Whether both sides have some."""
-        return bool(self.before and self.after)
-
-
 class EncoderChanges(NamedTuple):
     """What the encoders show before and after, which of it has changed, and the change of the play (m) if that has."""
 
@@ -50,7 +38,7 @@ class EncoderChanges(NamedTuple):
     notes: tuple[str, ...]
 
 
-def encoders_of(axis: Axis, before: Sequence[Log], after: Sequence[Log]) -> EncoderSides:
+def encoders_of(axis: Axis, before: Sequence[Log], after: Sequence[Log]) -> Sides[EncoderComparison]:
     """Motor against table of each log that has both."""
     notes: list[str] = []
     sides = []
@@ -66,10 +54,10 @@ def encoders_of(axis: Axis, before: Sequence[Log], after: Sequence[Log]) -> Enco
         if not found:
             notes.append(f"{name}: {BLIND}")
         sides.append(tuple(found))
-    return EncoderSides(sides[0], sides[1], tuple(notes))
+    return Sides(sides[0], sides[1], tuple(notes))
 
 
-def encoder_changes(sides: EncoderSides, friction: Interval, level: float) -> EncoderChanges:
+def encoder_changes(sides: Sides[EncoderComparison], friction: Interval, level: float) -> EncoderChanges:
     """What differs between the sides; `friction` is the relative change of the Coulomb friction, zero for none."""
     if not sides.are_comparable:
         return EncoderChanges((), None, sides.notes)

@@ -8,9 +8,9 @@ from diffdrive.errors import ParameterError
 from diffdrive.logs.encoders.result import EncoderComparison
 from diffdrive.results import Result, Status
 from tuning.comparison.change import Change
-from tuning.comparison.controller import ControllerSides
-from tuning.comparison.encoders import EncoderSides
 from tuning.comparison.findings import Finding
+from tuning.comparison.sides import Sides
+from tuning.identification.controller.workflow import LogController
 from tuning.identification.workflow import IdentificationResult
 
 
@@ -34,8 +34,8 @@ class ComparisonResult(Result):
     limits: str  # the smallest changes that would have been found
     before: IdentificationResult
     after: IdentificationResult
-    controllers: ControllerSides
-    encoders: EncoderSides
+    controllers: Sides[LogController]
+    encoders: Sides[EncoderComparison]
     notes: tuple[str, ...]
     status: Status
 

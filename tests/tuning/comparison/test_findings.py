@@ -7,10 +7,11 @@ import pytest
 
 from diffdrive.logs.encoders.regression import Estimate
 from tuning.comparison.changes import Difference, Estimates
-from tuning.comparison.controller import ControllerChanges, ControllerSides, controller_changes
-from tuning.comparison.encoders import EncoderChanges, EncoderSides, encoder_changes
+from tuning.comparison.controller import ControllerChanges, controller_changes
+from tuning.comparison.encoders import EncoderChanges, encoder_changes
 from tuning.comparison.findings import findings_of, friction_change, limits, machine_changes
 from tuning.comparison.machine import Component, MachineDifference
+from tuning.comparison.sides import Sides
 from tuning.identification.controller.gains import Parts
 
 COULOMB = "friction.coulomb_at_no_load"
@@ -47,7 +48,7 @@ def encoders(reversal, wind_up=(2e-6, 1e-6, 3e-6), reversals=20):
 
 
 def screw(before, after, friction):
-    return encoder_changes(EncoderSides((encoders(before),), (encoders(after),), ()), friction, LEVEL)
+    return encoder_changes(Sides((encoders(before),), (encoders(after),), ()), friction, LEVEL)
 
 
 def sentences(found):
@@ -112,7 +113,7 @@ def test_wind_up_under_more_friction_is_no_play():
 
 
 def test_of_two_encoders_on_one_side_alone_nothing_is_compared():
-    found = encoder_changes(EncoderSides((), (encoders(1e-6),), ("before: one encoder",)), (0.0, 0.0, 0.0), LEVEL)
+    found = encoder_changes(Sides((), (encoders(1e-6),), ("before: one encoder",)), (0.0, 0.0, 0.0), LEVEL)
     assert found == EncoderChanges((), None, ("before: one encoder",))
 
 
@@ -124,7 +125,7 @@ def controller(kp):
 
 @pytest.mark.parametrize(("after", "verb"), [(45.0, "fell"), (55.0, "rose")])
 def test_a_changed_gain_is_one_sentence(after, verb):
-    gains = controller_changes(ControllerSides((controller(50.0),), (controller(after),), ()), LEVEL)
+    gains = controller_changes(Sides((controller(50.0),), (controller(after),), ()), LEVEL)
     ((_, said),) = gains.sentences
     assert said.startswith(f"K_v {verb} by 10.0")
     assert said.endswith(f"from 50 to {after:g} 1/s")
@@ -142,7 +143,7 @@ def test_gains_that_change_places_are_seen_to_have_changed():
         covariance = spread @ spread.T + np.diag([1e-6, 1e-6, 1e-3, 1e-6, 1.0, 1e-10])
         return (SimpleNamespace(parts=Parts(values, covariance, 20.0)),)
 
-    same, changed = (controller_changes(ControllerSides(side(50.0), side(kp), ()), LEVEL) for kp in (50.0, 40.0))
+    same, changed = (controller_changes(Sides(side(50.0), side(kp), ()), LEVEL) for kp in (50.0, 40.0))
     assert same.sentences == ()
     ((code, said),) = changed.sentences
     assert code == "controller"
