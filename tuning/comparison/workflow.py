@@ -151,9 +151,9 @@ def compare_checked(
 
 def _ambiguous(logs: CheckedLogs) -> list[tuple[str, LogFinding]]:
     """The fatal findings that may be a change of the axis; raises `LogError` for any other."""
-    asked = [(log, one) for log, one in logs.fatal if A_CHANGE & {one.cause, *one.rivals}]
-    require_sound(CheckedLogs(logs.logs, tuple(one for one in logs.findings if one not in asked)), FORCE)
-    return asked
+    ambiguous = [(log, one) for log, one in logs.fatal if A_CHANGE & {one.cause, *one.rivals}]
+    require_sound(CheckedLogs(logs.logs, tuple(one for one in logs.findings if one not in ambiguous)), FORCE)
+    return ambiguous
 
 
 def _doubts(
