@@ -28,7 +28,7 @@ LAST_WORDS = 0.5  # s, that a blocked pipe or disk may hold up each of the five 
 # what commands continue from: diagnose, identify, compare, real-axes, tune, sweep, recovery, withheld
 CONTINUED = (
     "diagnosis.parts", "identification.parts", "comparison.parts", "real-axes.parts", "tuning.checkpoint.json",
-    "tuning.pareto", "parts", "draws.jsonl", "answers",
+    "pareto.parts", "parts", "draws.jsonl", "answers",
 )  # fmt: skip
 SWALLOWED = 0  # on the wake-up socket, beside the numbers of signals
 SHOW_CURSOR = b"\x1b[?25h"

@@ -34,7 +34,7 @@ UNITS = {
     "load_error": "load_error_N",
     "settling": "settling_s",
 }
-PARETO = "tuning.pareto"  # checkpoints of the limits of a front, a folder each
+PARETO = "pareto.parts"  # checkpoints of the limits of a front, a folder each
 LARGE_LOAD_ERROR = 1.0  # kN
 
 
