@@ -193,16 +193,16 @@ def compare(
             help="Share of the comparisons of an unchanged axis in which a change may be found.",
         ),
     ] = 0.01,
-    starts: Annotated[int, typer.Option(callback=count_of, min=1, help="Number of searches of the logs before.")] = 6,
+    starts: Annotated[int, typer.Option(callback=count_of, min=1, help="Number of searches of each side.")] = 6,
     seed: Seed = 0,
     force: Annotated[bool, typer.Option("--force", help="Compare in spite of fatal findings.")] = False,
     svg: Svg = False,
 ) -> None:
-    """Say what has changed between two sets of logs of one axis: friction, mass, controller gains, play.
+    """Say what has changed between two sets of logs of one axis: friction, mass, controller gains, backlash.
 
     Each change has one sentence and a 95 % interval; for the rest the smallest change is said that would have been
-    found. Lost preload (friction down, play up) is one sentence. The motions may differ; the same motion before and
-    after shows smaller changes. Play needs two encoders, and the controller's gains need the reference. Writes
+    found. Lost preload (friction down, backlash up) is one sentence. The motions may differ; the same motion before and
+    after shows smaller changes. Backlash needs two encoders, and the controller's gains need the reference. Writes
     comparison.json, the table and figure of all changes, and identified.toml, the axis as it is after. Ends with code
     3 where the result is doubtful. Stopped or killed, the same command with the same --out continues where it was.
 

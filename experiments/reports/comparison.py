@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from experiments.reports import readable
 from experiments.reports.axis_file import write_axis_file
 from experiments.reports.checked_logs import axis_with_overrides, parse_loads, read_and_check
-from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.report import Report, new_figure
 from tuning.comparison.change import Change
 from tuning.comparison.result import ComparisonResult
@@ -55,7 +54,7 @@ def compare_logs(
             for side, name in ((before, "findings_before"), (after, "findings_after"))
         ]
         parts = FolderStore.in_folder(out, PARTS)
-        with report.stages() as advance, stop_at_next_step(advance, report.say) as progress:
+        with report.stages() as progress:  # half of it is no comparison: an interrupt ends it, and the parts stay
             result = compare_checked(
                 axis, *sides, fixed=fixed, level=level, starts=starts, seed=seed, force=force, store=parts,
                 progress=progress,

@@ -176,5 +176,6 @@ def _solve(matrix: Float[np.ndarray, "k k"], right: Float[np.ndarray, "k ..."]) 
     """matrix^-1 right of a covariance, scaled to its correlation first: parameters differ by many orders."""
     scale = np.sqrt(np.diag(matrix))
     scaled = right / (scale if right.ndim == 1 else scale[:, None])
-    solved = np.linalg.solve(matrix / np.outer(scale, scale), scaled)
+    # by the pseudo-inverse: of two numbers that only differ together, the difference is known without error
+    solved = np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True) @ scaled
     return np.asarray(solved / (scale if right.ndim == 1 else scale[:, None]))

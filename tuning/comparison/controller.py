@@ -83,6 +83,8 @@ def _of_side(logs: Sequence[Log], name: str, control_rate: float | None, notes: 
             reasons.append(f"a position and speed cascade does not explain the command of {log.name}")
     if reasons and not found:
         notes.append(f"the controller is not compared: {name}, {reasons[0]}")
+    elif reasons:
+        notes.append(f"the controllers {name} are those of {len(found)} logs of {len(logs)}: {'; '.join(reasons)}")
     several = [Named(one.log, one.parts) for one in found]
     pairs = [(one, other) for k, one in enumerate(several) for other in several[:k]]
     notes += [

@@ -1,8 +1,9 @@
 """What two encoders say of the screw between them, before and after: `diffdrive.compare_encoders` of each log.
 
-The reversal error is play and wind-up of the screw under friction. Where friction has changed, so has the wind-up, in
-proportion; what that does not explain of the reversal error's change is a change of the play. How much of the reversal
-error was wind-up has an interval of its own, over all of which it must not be explained.
+The reversal error is backlash and wind-up of the screw under friction. Where friction has changed, so has the wind-up,
+in proportion; what that does not explain of the reversal error's change is a change of the backlash. How much of
+the reversal error was wind-up has an interval of its own, over all of which it must not be explained. The wind-up by
+acceleration is not compared: it is in proportion to the table's share of the moving mass, which a payload changes.
 """
 
 from collections.abc import Sequence
@@ -12,9 +13,9 @@ import numpy as np
 from scipy.stats import t as student
 
 from diffdrive.axis import Axis
-from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
-from diffdrive.logs.encoders.comparison import FEWEST_PASSES, compare_encoders
+from diffdrive.logs.checks.encoders import compared
+from diffdrive.logs.encoders.comparison import FEWEST_PASSES
 from diffdrive.logs.encoders.regression import Estimate
 from diffdrive.logs.encoders.result import EncoderComparison
 from tuning.comparison.change import Change
@@ -23,18 +24,17 @@ from tuning.comparison.sides import Sides
 
 QUANTITIES = (
     ("reversal_error", "the reversal error of motor against table", "m"),
-    ("compliance", "the wind-up per newton", "m/N"),
     ("per_turn", "the error per turn of the screw", "m"),
     ("linear", "the linear error of motor against table", "m/m"),
 )
-BLIND = "one encoder, so play and wind-up of the screw cannot be seen: log motor and scale to have them compared, too"
+BLIND = "one encoder, so the backlash cannot be seen: log motor and scale to have it compared, too"
 
 
 class EncoderChanges(NamedTuple):
-    """What the encoders show before and after, which of it has changed, and the change of the play (m) if that has."""
+    """What the encoders show before and after, what of it has changed, and the change of the backlash (m) if known."""
 
     changes: tuple[Change, ...]
-    play: Interval | None
+    backlash: Interval | None
     notes: tuple[str, ...]
 
 
@@ -47,18 +47,20 @@ def encoders_of(axis: Axis, before: Sequence[Log], after: Sequence[Log]) -> Side
         for log in logs:
             if log.motor_position is None:
                 continue
-            try:
-                found.append(compare_encoders(log, axis))
-            except ParameterError as problem:
-                notes.append(str(problem))
-        if not found:
+            comparison = compared(log, axis)
+            if comparison is None:
+                why = "another unit or sign, or hardly any travel"
+                notes.append(f"{name}, {log.name}: motor and table are not compared: {why}")
+            else:
+                found.append(comparison)
+        if all(log.motor_position is None for log in logs):
             notes.append(f"{name}: {BLIND}")
         sides.append(tuple(found))
     return Sides(sides[0], sides[1], tuple(notes))
 
 
-def encoder_changes(sides: Sides[EncoderComparison], friction: Interval, level: float) -> EncoderChanges:
-    """What differs between the sides; `friction` is the relative change of the Coulomb friction, zero for none."""
+def encoder_changes(sides: Sides[EncoderComparison], friction: Interval | None, level: float) -> EncoderChanges:
+    """What differs between the sides; `friction` is the relative change of the Coulomb friction, None if unknown."""
     if not sides.are_comparable:
         return EncoderChanges((), None, sides.notes)
     pairs = [
@@ -79,11 +81,11 @@ def encoder_changes(sides: Sides[EncoderComparison], friction: Interval, level: 
         rows.append(
             Change(f"encoders.{name}", label, unit, one.value, other.value, interval, False, name in changed, least)
         )
-    play = None
-    if "reversal_error" in changed:
+    backlash = None
+    if "reversal_error" in changed and friction is not None:
         reversal = next(row.change for row in rows if row.path == "encoders.reversal_error")
-        play = _play(reversal, sides.before, friction)
-    return EncoderChanges(tuple(rows), play, sides.notes)
+        backlash = _backlash(reversal, sides.before, friction)
+    return EncoderChanges(tuple(rows), backlash, sides.notes)
 
 
 class _Pooled(NamedTuple):
@@ -93,9 +95,12 @@ class _Pooled(NamedTuple):
 
 
 def _pooled(side: Sequence[EncoderComparison], name: str) -> _Pooled | None:
-    """One estimate of several logs, each by the inverse of its variance, wider where they scatter more (Birge)."""
+    """One estimate of several logs, each by the inverse of its variance, wider where they scatter more (Birge).
+
+    None where no log has one, or only such without any scatter: the motor's position is a copy of the table's then.
+    """
     found = [(getattr(one, name), _freedom(one)) for one in side]
-    known = [(estimate, freedom) for estimate, freedom in found if estimate is not None]
+    known = [(estimate, freedom) for estimate, freedom in found if estimate and 0.0 < estimate.half_width < np.inf]
     if not known:
         return None
     values = np.array([estimate.value for estimate, _ in known])
@@ -121,7 +126,7 @@ def _side(several: Sequence[_Pooled]) -> Estimates:
     return Estimates(values, np.diag(variances), min(one.freedom for one in several))
 
 
-def _play(reversal: Interval, before: Sequence[EncoderComparison], friction: Interval) -> Interval:
+def _backlash(reversal: Interval, before: Sequence[EncoderComparison], friction: Interval) -> Interval:
     """What the wind-up under a changed friction does not explain of the reversal error's change (m)."""
     known = [one.wind_up for one in before if one.wind_up is not None]
     most = max((abs(one.reversal_error.value) for one in before if one.reversal_error is not None), default=0.0)

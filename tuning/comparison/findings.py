@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from diffdrive.model.parameters import Friction
 from tuning.comparison.change import Change, relative, sentence, sized
 from tuning.comparison.changes import Difference, Interval
 from tuning.comparison.controller import ControllerChanges
@@ -24,7 +25,7 @@ LABELS = {
     "actuator.delay": "the delay of the command",
     "screw.compliance": "the wind-up of the screw per newton of friction",
 }
-COULOMB, MASS, PLAY = "friction.coulomb_at_no_load", "plant.mass", "encoders.play"
+COULOMB, MASS, BACKLASH = "friction.coulomb_at_no_load", "plant.mass", "encoders.backlash"
 LOST_PRELOAD = "lost preload"
 
 
@@ -77,56 +78,83 @@ def _change(found: MachineDifference, difference: Difference, k: int, changed: S
     )  # fmt: skip
 
 
-def friction_change(machine: MachineChanges) -> Interval:
-    """The relative change of the Coulomb friction, mean of the directions; zero where it has not changed."""
-    both = [one.change for one in machine.of(COULOMB) if one.has_changed]
+def friction_change(
+    machine: MachineChanges, friction: Friction, load_before: float, load_after: float
+) -> Interval | None:
+    """The relative change of the Coulomb friction under the loads (N) of the logs, mean of the directions.
+
+    Named or not: what the logs do not exclude may have wound up the screw. None where it is not compared. `friction` is
+    that before, whose slope over the load is taken as the same after.
+    """
+    both = machine.of(COULOMB)
     if not both:
-        return Interval(0.0, 0.0, 0.0)
-    return Interval(*(float(np.mean([getattr(one, end) for one in both])) for end in ("value", "low", "high")))
+        return None
+    without_load = float(np.mean([one.before for one in both]))
+    slope = float(np.mean([friction.load_coefficient.positive, friction.load_coefficient.negative]))
+    total, by_load = without_load + slope * load_before, slope * (load_after - load_before)
+    ends = (float(np.mean([getattr(one.change, end) for one in both])) for end in ("value", "low", "high"))
+    return Interval(*((without_load * end + by_load) / total for end in ends))
+
+
+def scales_friction_alone(machine: MachineChanges) -> bool:
+    """Whether the mass has surely not changed by the factor of the friction, as a wrong unit of the command would."""
+    mass, friction = machine.of(MASS), machine.of(COULOMB)
+    if not mass or not friction:
+        return False
+    return all(not mass[0].change.low <= one.change.value <= mass[0].change.high for one in friction)
 
 
 def findings_of(
     machine: MachineChanges, controller: ControllerChanges, encoders: EncoderChanges
 ) -> tuple[Finding, ...]:
-    """Everything that has changed, a sentence each; lost preload, which is friction down and play up, is one."""
+    """Everything that has changed, a sentence each; lost preload, which is friction down and backlash up, is one."""
     found = []
-    friction, play = machine.of(COULOMB), encoders.play
-    loosened = (
+    friction, backlash = machine.of(COULOMB), encoders.backlash
+    has_lost_preload = (
         COULOMB in machine.changed
         and all(one.change.high < 0.0 for one in friction)
-        and play is not None
-        and play.low > 0.0
+        and backlash is not None
+        and backlash.low > 0.0
     )
     others = {one for rival in machine.explanations[1:] for one in rival}
     for parameter in machine.changed:
-        if loosened and parameter == COULOMB:
+        if has_lost_preload and parameter == COULOMB:
             continue
         more = ": a payload, or a heavier table" if parameter == MASS and machine.of(MASS)[0].change.low > 0.0 else ""
         if any(parameter not in rival for rival in machine.explanations[1:]):
             instead = sorted(others - set(machine.changed))
-            more += f"; a change of {' or '.join(LABELS.get(one, one) for one in instead)} explains as much"
+            more += f"; a change of {' or '.join(LABELS.get(one, one) for one in instead)} may be it instead"
         found.append(Finding(parameter, sentence(machine.of(parameter), more)))
     found += [Finding(path, text) for path, text in controller.sentences]
     reversal = next((one for one in encoders.changes if one.path == "encoders.reversal_error"), None)
-    if loosened and reversal is not None and play is not None:
-        found.insert(0, Finding(LOST_PRELOAD, f"lost preload: {sentence(friction)}, and {_played(play, reversal)}"))
-    elif play is not None and reversal is not None and (play.low > 0.0 or play.high < 0.0):
-        found.append(Finding(PLAY, _played(play, reversal)))
+    is_backlash = backlash is not None and not backlash.low <= 0.0 <= backlash.high
+    if has_lost_preload and reversal is not None and backlash is not None:
+        found.insert(
+            0, Finding(LOST_PRELOAD, f"lost preload: {sentence(friction)}, and {_by_reversal(backlash, reversal)}")
+        )
+    elif is_backlash and backlash is not None and reversal is not None:
+        found.append(Finding(BACKLASH, _by_reversal(backlash, reversal)))
     for change in encoders.changes:
-        explained = change is reversal and play is not None and not play.low <= 0.0 <= play.high
-        if change.has_changed and not explained:
-            more = ", as the wind-up of the screw does under the changed friction" if change is reversal else ""
-            found.append(Finding(change.path, sentence([change], more)))
+        if change.has_changed and not (change is reversal and is_backlash):
+            found.append(
+                Finding(change.path, sentence([change], _WIND_UP[backlash is None] if change is reversal else ""))
+            )
     return tuple(found)
 
 
-def _played(play: Interval, reversal: Change) -> str:
-    """How the play has changed, by the reversal error."""
-    verb = "rose" if play.value > 0 else "fell"
+_WIND_UP = {
+    False: ", as the wind-up of the screw may under friction that these logs do not exclude",
+    True: ": backlash, or wind-up of the screw under another friction, which is not compared",
+}
+
+
+def _by_reversal(backlash: Interval, reversal: Change) -> str:
+    """How the backlash has changed, by the reversal error."""
+    verb = "rose" if backlash.value > 0 else "fell"
     was, now = (f"{reversal.factor * one:.3g}" for one in (reversal.before, reversal.after))
     return (
-        f"the play {verb} by {sized(play, 1e6, 'um')}: the reversal error of motor against table went from {was} to "
-        f"{now} um"
+        f"the backlash {verb} by {sized(backlash, 1e6, 'um')}: the reversal error of motor against table went from "
+        f"{was} to {now} um"
     )
 
 

@@ -79,7 +79,7 @@ def _weak(found: Identification) -> set[str]:
     """What the logs hardly narrow, or push against its bound, where the search vector has no more effect."""
     fit = found.full_fit
     errors = fit.problem.prior * np.sqrt(np.diag(fit.covariance.matrix))
-    weak = {one.path for one, error in zip(fit.residuals.free, errors, strict=True) if not error <= UNDETERMINED}
+    weak = {one.path for one, error in zip(fit.residuals.free, errors, strict=True) if not 0 < error <= UNDETERMINED}
     return weak | set(SearchSpace(fit.residuals.free, fit.problem.origin).near_bound(fit.search.theta))
 
 

@@ -3,26 +3,34 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from diffdrive.axis import Axis, require_axis
 from diffdrive.errors import ParameterError
 from diffdrive.logs.checks.finding import Finding as LogFinding
 from diffdrive.results import Status
 from tuning.checked_logs import CheckedLogs, checked_apart, require_different, require_sound
+from tuning.comparison.alike import Identified, identified_alike
 from tuning.comparison.controller import controller_changes, controllers_of
 from tuning.comparison.encoders import encoder_changes, encoders_of
-from tuning.comparison.findings import MASS, MachineChanges, findings_of, friction_change, limits, machine_changes
-from tuning.comparison.machine import MachineDifference, answer, machine_difference
+from tuning.comparison.findings import (
+    MachineChanges,
+    findings_of,
+    friction_change,
+    limits,
+    machine_changes,
+    scales_friction_alone,
+)
+from tuning.comparison.machine import MachineDifference, machine_difference
 from tuning.comparison.result import ComparisonResult
 from tuning.identification.controller.workflow import known_rate
 from tuning.identification.identify import require_search
-from tuning.identification.refinement import was_interrupted
-from tuning.identification.workflow import IdentificationResult, identify_checked
+from tuning.identification.workflow import IdentificationResult
 from tuning.progress import Progress, reporting
 from tuning.store.folder import FolderStore
 from tuning.store.store import Store
 
 LEVEL = 0.01  # a workshop that compares an axis each month is wrongly alarmed once in eight years
-NO_LOGS = CheckedLogs((), ())
 # what a check calls the log's fault, and itself says may be a change of the axis: the question that is asked here
 A_CHANGE = {"other machine", "other controller"}
 FORCE = "force=True compares all the same, and takes that for a change of the axis"
@@ -45,7 +53,7 @@ def compare(
 ) -> ComparisonResult:
     """What has changed between two sets of logs of one axis: machine, controller, and what two encoders see.
 
-    Both sets are identified, the second from the answer of the first. The smallest set of changed parameters that
+    Both sets are identified alike. The smallest set of changed parameters that
     explains the difference of the answers is named, with intervals, and for the others the smallest change that would
     have been found. Method: docs/method/comparison.md.
 
@@ -57,7 +65,7 @@ def compare(
         fixed: Parameters that stay as they are in both, by path (`plant.mass`) or name.
         loads: Force on the guides (N) by the log's file or name, where the log does not say it.
         level: Share of the comparisons of an unchanged axis in which a change may be found.
-        starts: Starting points of the search of `before`.
+        starts: Starting points of each search; one of those after is the answer before.
         seed: Of the starting points.
         force: Compare logs that would mislead, all the same.
         resume: A folder where what is finished is kept: the same call continues from it.
@@ -114,39 +122,34 @@ def compare_checked(
     ambiguous = [] if force else [*_ambiguous(before), *_ambiguous(after)]
     controllers = controllers_of(before.logs, after.logs, known_rate(axis))
     encoders = encoders_of(axis, before.logs, after.logs)
-    was = identify_checked(
-        axis, before, NO_LOGS, fixed=fixed, bounds={}, starts=starts, seed=seed, store=store,
-        progress=_named(progress, "before"),
-    )  # fmt: skip
-    if was_interrupted(was.fit.search):
-        raise KeyboardInterrupt
-    now = identify_checked(
-        axis, after, NO_LOGS, fixed=fixed, bounds={}, starts=1, seed=seed, store=store,
-        progress=_named(progress, "after"), start=answer(was.fit),
-    )  # fmt: skip
-    if was_interrupted(now.fit.search):
-        raise KeyboardInterrupt
+    sides = identified_alike(axis, before, after, fixed=fixed, starts=starts, seed=seed, store=store, progress=progress)
     # each part that is compared has an equal share of the level (Bonferroni)
     share = level / (1 + controllers.are_comparable + encoders.are_comparable)
-    found = machine_difference(was.fit, now.fit)
+    found = machine_difference(sides.before.fit, sides.after.fit)
     machine = machine_changes(found, share)
     gains = controller_changes(controllers, share)
-    screw = encoder_changes(encoders, friction_change(machine), share)
+    friction = friction_change(machine, sides.before.axis.drive.friction, mean_load(before), mean_load(after))
+    screw = encoder_changes(encoders, friction, share)
     findings = findings_of(machine, gains, screw)
     changes = (*machine.changes, *gains.changes, *screw.changes)
     seen = limits(changes)
     notes = [seen] if seen else []
-    notes += [*_open(found), *gains.notes, *screw.notes, *_incomplete(was, now)]
+    notes += [*sides.notes, *_open(found), *gains.notes, *screw.notes, *_incomplete(sides)]
     notes += [f"{name}, {note}" for name, side in (("before", before), ("after", after)) for note in _quoted(side)]
     code = "changed" if findings else "unchanged"
     status = Status(True, f"{len(findings)} found" if findings else "no change found", code=code)
-    against = _doubts(was, now, machine, ambiguous)
+    against = _doubts(sides, machine, ambiguous)
     if against:
         status = Status(False, f"doubtful: {against[0]}", code="doubtful")
     return ComparisonResult(
-        findings, changes, machine.explanations, machine.p_unchanged, level, seen, was, now, controllers, encoders,
-        tuple(dict.fromkeys((*against, *notes))), status,
+        findings, changes, machine.explanations, machine.p_unchanged, level, seen, sides.before, sides.after,
+        controllers, encoders, tuple(dict.fromkeys((*against, *notes))), status,
     )  # fmt: skip
+
+
+def mean_load(logs: CheckedLogs) -> float:
+    """Force on the guides (N) that stands in the logs, on average."""
+    return float(np.mean(np.concatenate([np.zeros(1) if log.load is None else log.load for log in logs.logs])))
 
 
 def _ambiguous(logs: CheckedLogs) -> list[tuple[str, LogFinding]]:
@@ -156,18 +159,10 @@ def _ambiguous(logs: CheckedLogs) -> list[tuple[str, LogFinding]]:
     return ambiguous
 
 
-def _doubts(
-    was: IdentificationResult,
-    now: IdentificationResult,
-    machine: MachineChanges,
-    ambiguous: Sequence[tuple[str, LogFinding]],
-) -> list[str]:
+def _doubts(sides: Identified, machine: MachineChanges, ambiguous: Sequence[tuple[str, LogFinding]]) -> list[str]:
     """What speaks against the answer, a sentence each."""
-    against = [
-        f"{name}: {side.status.message}" for name, side in (("before", was), ("after", now)) if not side.status.ok
-    ]
-    # a wrong unit of the command would scale the mass as much as the friction
-    if not machine.of(MASS) or MASS in machine.changed:
+    against = [f"{name}: {side.status.message}" for name, side in _named(sides) if not side.status.ok]
+    if not scales_friction_alone(machine):
         against += [f"{log}: {one.message}; {one.remedy}" for log, one in ambiguous]
     return against
 
@@ -179,8 +174,8 @@ def _open(found: MachineDifference) -> list[str]:
     return [f"not compared, since one of the sets does not determine it: {named}"]
 
 
-def _incomplete(was: IdentificationResult, now: IdentificationResult) -> list[str]:
-    incomplete = [name for name, side in (("before", was), ("after", now)) if side.fit.adequacy.has_structure]
+def _incomplete(sides: Identified) -> list[str]:
+    incomplete = [name for name, side in _named(sides) if side.fit.adequacy.has_structure]
     if not incomplete:
         return []
     return [
@@ -193,5 +188,5 @@ def _quoted(side: CheckedLogs) -> list[str]:
     return [f"{log}: {finding.message}" for log, finding in side.notable]
 
 
-def _named(progress: Progress, side: str) -> Progress:
-    return lambda stage, done, most: progress(f"{stage}, {side}", done, most)
+def _named(sides: Identified) -> tuple[tuple[str, IdentificationResult], ...]:
+    return ("before", sides.before), ("after", sides.after)

@@ -54,7 +54,7 @@ def test_changed_friction_and_gain_are_named_and_nothing_else(found):
     gain = found.change("controller.kp")
     assert gain.change.value == pytest.approx(-0.1, abs=0.01)
     assert found.p_unchanged < 1e-6
-    assert any("one encoder, so play" in note for note in found.notes)
+    assert any("one encoder, so the backlash" in note for note in found.notes)
 
 
 @pytest.mark.long
