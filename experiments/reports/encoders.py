@@ -51,8 +51,11 @@ def encoders_figure(comparison: EncoderComparison) -> "Figure":
     """Motor minus table against position, by direction, and against time; the model; each reversal's lost motion."""
     samples = comparison.samples
     thinned = slice(None, None, 1 + len(samples.time) // MOST_POINTS)
-    time, position, difference, direction, fitted = (one[thinned] for one in samples)
-    position, difference, fitted = 1e3 * position, 1e6 * difference, 1e6 * fitted
+    time, direction = samples.time[thinned], samples.direction[thinned]
+    position, difference, fitted = (
+        factor * one[thinned]
+        for factor, one in ((1e3, samples.position), (1e6, samples.difference), (1e6, samples.fitted))
+    )
     figure, axes = new_figure(3, 1, width=9.0, height=2.8, share_x=False)
     for axis, x, label in ((axes[0], position, "position of the table, mm"), (axes[1], time, "time, s")):
         for side, name, colour in ((1.0, "forwards", "C0"), (-1.0, "backwards", "C1")):
