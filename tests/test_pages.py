@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = [page for page in TEXTS if BLOCK.search(page.read_text(encoding="utf-8"))]
-QUICK, LONG = {"README.md"}, {"logs.md", "log-checks.md"}  # the others take more than half a minute of one core
+LONG = {"README.md", "logs.md", "log-checks.md"}  # the others take more than half a minute of one core
 DIFFDRIVE = """#!/bin/sh
 exec {python} -W error -c 'import sys; from experiments.cli.main import main; sys.argv[0] = "diffdrive"; main()' "$@"
 """
@@ -52,7 +52,7 @@ for language, text in re.findall(sys.argv[1], Path(sys.argv[2]).read_text(encodi
     [
         pytest.param(
             page,
-            marks=[] if page.name in QUICK else pytest.mark.long if page.name in LONG else pytest.mark.slow,
+            marks=pytest.mark.long if page.name in LONG else pytest.mark.slow,
             id=page.name,
         )
         for page in PAGES

@@ -46,6 +46,7 @@ def test_programs_are_kept_until_nobody_has_used_them_for_two_months(tmp_path):
     assert {path.name for path in folder.iterdir()} == {"fresh", "used"}
 
 
+@pytest.mark.long
 def test_the_environment_decides_where_and_whether(tmp_path):
     assert configured(tmp_path, JAX_COMPILATION_CACHE_DIR="elsewhere") == ["elsewhere", "0.1"]
     asked = {"JAX_COMPILATION_CACHE_DIR": "elsewhere", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "3"}

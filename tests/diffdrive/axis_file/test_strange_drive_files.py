@@ -148,7 +148,9 @@ def test_every_number_of_a_drive_file_may_be_strange(kind):
                 )
 
 
-@pytest.mark.parametrize("kind", CONTROLLERS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=() if kind in ("pd", "cascade") else pytest.mark.long) for kind in CONTROLLERS]
+)
 def test_no_key_of_a_drive_file_takes_what_is_no_number(kind):
     tables = tables_of(kind)
     for above, key in places(tables):

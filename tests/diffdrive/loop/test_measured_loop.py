@@ -66,7 +66,10 @@ def measurement(of, reading):
     }[of]
 
 
-@pytest.mark.parametrize("of", ["plant", "plant-with-current-loop", "open-loop", "position-loop", "speed-loop"])
+LONG = [pytest.param(of, marks=pytest.mark.long) for of in ("plant-with-current-loop", "open-loop", "speed-loop")]
+
+
+@pytest.mark.parametrize("of", ["plant", "position-loop", *LONG])
 def test_what_was_sampled_from_the_model_has_its_margins(plant, of):
     loop = dd.linearise(AXIS, velocity=AT.velocity)
     measured = dd.FrequencyResponse(FREQUENCY, measurement(of, plant), of, "(m/s)/N" if of.startswith("pl") else "1")

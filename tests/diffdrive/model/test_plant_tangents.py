@@ -10,24 +10,34 @@ from diffdrive.numerics.arrays import as_arrays
 from tests.support.sound_log import DRIVE
 
 
+@jax.jit
+def one_period(state, force):
+    return advance(as_arrays(DRIVE.drive), state, force, 0.0, 5e-4, 10)
+
+
+@jax.jit
+def derivative(state, force, direction):
+    return jax.jvp(one_period, (state, force), direction)[1]
+
+
+@jax.jit
+def side_by_side(state, force, directions):
+    return advance_with_tangents(as_arrays(DRIVE.drive), state, force, jnp.asarray(0.0), 5e-4, 10, directions)
+
+
 @pytest.mark.parametrize("velocity", [0.0, 1e-6, 0.02, -0.02])
 @pytest.mark.parametrize("force", [0.0, 60.0, -200.0])
 def test_tangents_side_by_side_are_the_derivatives(velocity, force):
     """At rest, in presliding, at breakaway, sliding, and through a reversal."""
-    drive = as_arrays(DRIVE.drive)
     state = PlantState(*(jnp.asarray(one) for one in (0.01, velocity, 1e-7 * np.sign(velocity))))
     directions = [
         (PlantState(*jnp.asarray(row[:3])), jnp.asarray(row[3]))
         for row in np.random.default_rng(1).standard_normal((3, 4)) * np.array([1e-6, 1e-3, 1e-7, 1.0])
     ]
-
-    def one_period(state, force):
-        return advance(drive, state, force, 0.0, 5e-4, 10)
-
-    ahead, tangents = advance_with_tangents(drive, state, jnp.asarray(force), jnp.asarray(0.0), 5e-4, 10, directions)
-    np.testing.assert_allclose(np.array(ahead), np.array(one_period(state, force)), rtol=1e-14)
+    ahead, tangents = side_by_side(state, jnp.asarray(force), directions)
+    np.testing.assert_allclose(np.array(ahead), np.array(one_period(state, jnp.asarray(force))), rtol=1e-14)
     for direction, tangent in zip(directions, tangents, strict=True):
-        expected = jax.jvp(one_period, (state, jnp.asarray(force)), direction)[1]
+        expected = derivative(state, jnp.asarray(force), direction)
         np.testing.assert_allclose(np.array(tangent), np.array(expected), rtol=1e-10, atol=1e-18)
 
 

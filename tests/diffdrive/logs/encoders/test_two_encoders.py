@@ -74,6 +74,7 @@ def test_without_backlash_none_is_reported(wind_up):
     assert [one for one in two_encoders(log, None) if one.severity != "note"] == []
 
 
+@pytest.mark.long
 def test_the_errors_of_screw_and_scale_are_found_beside_lost_motion():
     axis, log = of(backlash=10e-6)
     found = dd.compare_encoders(log)
