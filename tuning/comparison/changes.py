@@ -21,6 +21,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import scipy.special
 import scipy.stats
 from jaxtyping import Float
 
@@ -99,7 +100,7 @@ class Difference:
             return 1.0
         total, freedom = self.distance(names)
         left = max(1.0, freedom - size + 1.0)
-        return float(scipy.stats.f.sf(total * left / (freedom * size), size, left))
+        return float(scipy.special.fdtrc(size, left, total * left / (freedom * size)))
 
     def p_alone(self, name: str, held: Sequence[str]) -> float:
         """The same of one parameter of those `held`, given that the others have not changed."""
@@ -107,7 +108,7 @@ class Difference:
         total, freedom = self.distance(held)
         rest, _ = self.distance([other for other in held if other != name])
         left = max(1.0, freedom - size + 1.0)
-        return float(scipy.stats.f.sf(left / own * max(0.0, total - rest) / (freedom + rest), own, left))
+        return float(scipy.special.fdtrc(own, left, left / own * max(0.0, total - rest) / (freedom + rest)))
 
     def p_unchanged(self, held: Sequence[str]) -> float:
         """How often the parameters `held` would seem to have changed as much as they do, if none of them had."""
