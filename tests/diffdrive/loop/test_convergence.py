@@ -71,6 +71,7 @@ def shifted(pair, extra):
     return jax.tree.map(lambda value: value + extra, pair)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("row", range(3))
 @pytest.mark.parametrize("load", [0.0, 8_000.0])
 def test_gain_is_what_a_simulated_observer_does(drive, row, load):

@@ -149,6 +149,7 @@ def test_the_blocks_of_a_sweep_are_one_kernel(name):
     assert one_kernel(swept(PAPER, name, noisy=True))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("noisy", "precision"), [(False, "double"), (True, "single")])
 def test_without_noise_and_in_single_precision_too(noisy, precision):
     assert one_kernel(swept(PAPER, "PD+FC+LE", noisy, precision))

@@ -67,6 +67,7 @@ def test_lanes_and_gradients_go_through():
     assert float(jax.grad(phase_margin)(kd, 0.010)) == pytest.approx(float(difference), rel=1e-4)
 
 
+@pytest.mark.long
 def test_a_loop_of_each_lane_has_its_own_margins_and_response():
     one = OpenLoop(jnp.array([[0.9, 0.01], [0.0, 0.8]]), jnp.array([0.0, 0.02]), jnp.array([-60.0, -5.0]), 1e-3)
     many = jax.vmap(lambda gain: dd.LinearLoop(dataclasses.replace(one, c=gain * one.c), 0.010, 0.0))(

@@ -155,6 +155,7 @@ def test_derivatives_of_the_margins_are_those_of_differences():
         np.testing.assert_allclose(slopes[name] * value, (up - down) / 2e-5, rtol=1e-5, atol=1e-5 * np.max(np.abs(up)))
 
 
+@pytest.mark.long
 def test_what_lies_outside_the_band_is_said():
     s = 2j * np.pi * np.geomspace(200.0, 900.0, 50)
     part = dd.FrequencyResponse(np.geomspace(200.0, 900.0, 50), 1.0 / (100.0 * s), "plant", "(m/s)/N")

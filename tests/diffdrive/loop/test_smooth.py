@@ -89,6 +89,7 @@ def test_smooth_needs_no_speed_gate():
     assert [float(x) for x in moved(0.0)] == [10.0, 0.0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("controller", [PD(TRACKING), LOAD_STATE], ids=["pd", "pd+fc+ls"])
 def test_smooth_keeps_the_result_where_there_is_no_quantiser(controller):
     load = np.where(MOVE.time < 0.2, 2e3, 6e3)

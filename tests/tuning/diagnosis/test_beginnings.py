@@ -36,6 +36,7 @@ def _off(name, parameter, period, measured, force, noise):
     return min(abs(travel / float(one[parameter][0]) - travel / period) for one in points)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("passes_for", ["force", "noise"])
 @pytest.mark.parametrize(("name", "parameter", "period"), [
     ("lead_error", "lead", 3.7e-3), ("lead_error", "lead", 5.08e-3), ("lead_error", "lead", 2.5e-2),

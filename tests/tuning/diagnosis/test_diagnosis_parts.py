@@ -241,6 +241,7 @@ def test_less_than_no_delay_is_none_to_the_simulator():
     assert LoopDelay(-0.5).step((0.0,) * 8, jnp.asarray(3.0), 1e-3)[1].mean == 3.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("rate", "thinning"), [(4000.0, 2), (8000.0, 4), (10_000.0, 5), (3000.0, 1), (500.0, 1)])
 @pytest.mark.parametrize("off", [0.0, -1e-6, 1e-6])
 def test_a_clock_that_is_a_little_off_thins_a_log_as_a_right_one_does(rate, thinning, off):

@@ -50,6 +50,7 @@ def swept(name="PD+FC+LE", count=128, first=0, to=None, precision="double", driv
     return found, (machine, ramp, keys, controller)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["PD", "PD+FC+LE"])
 def test_a_machine_in_a_sweep_costs_what_it_costs_alone(name):
     found, (machine, ramp, keys, controller) = swept(name)

@@ -154,6 +154,7 @@ def test_what_does_not_vary_has_no_influence():
     assert [one.name for one in influences(["a", "fixed"], values, np.exp(values[:, 0]))] == ["a"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["random", "sobol"])
 def test_the_interval_of_a_share_is_that_of_random_machines_and_wide_for_evenly_spread_ones(method):
     weight = np.array([3.0, 2.0, 1.0] + [0.0] * 11)

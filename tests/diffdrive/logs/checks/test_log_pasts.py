@@ -57,7 +57,9 @@ def fast():
     return log_of(TEMPLATE, reference, load=8_000.0)
 
 
-@pytest.mark.parametrize("start", [1000, 5000, 9000, 15_000])
+@pytest.mark.parametrize(
+    "start", [1000, 9000, *(pytest.param(start, marks=pytest.mark.long) for start in (5000, 15_000))]
+)
 def test_a_sound_log_that_begins_in_motion_passes(sine, start):
     findings = examine(cut(sine, start), TEMPLATE)
     assert complaints(findings) == []
