@@ -7,10 +7,8 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 from scipy.stats import chi2
 
 from diffdrive.controllers import Controller, UnknownController
@@ -42,7 +40,7 @@ from tuning.diagnosis.splitting import Split
 from tuning.diagnosis.trust import comparing
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
-from tuning.identification.prediction import Lanes
+from tuning.identification.padding import padded
 from tuning.identification.problem import MIN_LANE_SAMPLES, lanes_of, long_pieces, noise_floor, sampling_of
 from tuning.identification.shown_motion import Shortcoming
 from tuning.store.store import Store
@@ -82,24 +80,6 @@ class Diagnosis:
         return self.explanation.best
 
 
-def rounded(count: int) -> int:
-    """The next of lengths an eighth apart: logs of nearly the same length share their compiled programs."""
-    step = max(1, 2 ** (int(count - 1).bit_length() - 4))
-    return -(-count // step) * step
-
-
-def _padded(lanes: Lanes) -> Lanes:
-    """The lanes with samples that do not count at their ends."""
-    more = rounded(lanes.position.shape[1]) - lanes.position.shape[1]
-
-    def longer(signal: Float[Array, "lanes n ..."], mode: str = "edge") -> Float[Array, "lanes m ..."]:
-        return jnp.pad(signal, ((0, 0), (0, more), *((0, 0),) * (signal.ndim - 2)), mode=mode)
-
-    signals = lanes._replace(velocity=None, counts=None)  # type: ignore[arg-type]  # None is no leaf: neither is padded
-    padded = jax.tree.map(longer, signals)
-    return padded._replace(velocity=lanes.velocity, counts=longer(lanes.counts, "constant"))
-
-
 def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     """The logs as the diagnosis takes them; the drive's own effects are no part of it."""
     for log in logs:
@@ -123,7 +103,7 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     if lanes.period_commands is None and float(delay) % 1.0:
         lanes = lanes._replace(period_commands=in_parts(lanes.command, sampling.plant_steps))
     starts = jnp.asarray([float(log.time[piece.start] - log.time[0]) for log in logs for piece in long_pieces(log)])
-    return Logged(as_arrays(drive), delay, _padded(lanes), owner, noise, sampling, starts, thinning)
+    return Logged(as_arrays(drive), delay, padded(lanes), owner, noise, sampling, starts, thinning)
 
 
 def diagnose(

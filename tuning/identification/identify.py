@@ -135,6 +135,7 @@ def identify(
     drive_found, remark = _file_drive(fit)
     missing = missing_force(fit)
     innovation, expected = leading_innovation(fit)
+    longest = int(np.sum(fit.problem.lanes.counts, axis=1).max())  # the rest is padding
     table, scatter = estimates(
         fit.search.theta, fit.residuals, fit.problem, fit.covariance, undetermined | setup.unexcited
     )
@@ -153,9 +154,9 @@ def identify(
         noise=_finest_noise(setup),
         scale_noise=setup.scale_noise,
         process_force=fit.process_force,
-        innovation=innovation,
-        missing_force=missing,
-        velocity=fit.velocity,
+        innovation=innovation[:, :longest],
+        missing_force=missing[:, :longest],
+        velocity=fit.velocity[:, :longest],
         search=fit.search,
         start_costs=costs / costs.min(),
         simulations=(COARSE_STEPS * starts + fit.steps) * (1 + len(free)) + DELAYS,

@@ -311,9 +311,11 @@ def missing_force(fit: RefinedFit) -> Float[np.ndarray, "lanes n"]:
     if gains.motor is not None and fit.motor_innovation is not None:
         force = force + momentum_rate * np.asarray(gains.motor.velocity) * fit.motor_innovation
     width = max(1, round(SMOOTHING * sampling.rate))
-    smoothed = scipy.ndimage.uniform_filter1d(force, width, axis=1)
+    counts = np.asarray(fit.problem.lanes.counts)
+    total, number = (scipy.ndimage.uniform_filter1d(one, width, axis=1, mode="constant") for one in (force, counts))
+    smoothed = np.where(counts > 0, total / np.maximum(number, 0.5 / width), np.nan)
     smoothed[:, : round(SETTLING * sampling.rate)] = np.nan
-    return np.where(np.asarray(fit.problem.lanes.counts) > 0, smoothed, np.nan)
+    return smoothed
 
 
 def by_scale_alone(fit: RefinedFit, noise: float) -> RefinedFit:

@@ -15,6 +15,7 @@ from diffdrive.support.rates import is_same_rate
 from tuning.identification import inverse_dynamics
 from tuning.identification.inverse_dynamics import LOAD_SPREAD, MIN_SPEED
 from tuning.identification.motor_encoder import with_motor_encoder
+from tuning.identification.padding import padded
 from tuning.identification.parameters import FIXABLE, parameter_called
 from tuning.identification.prediction import MAX_DELAY, constant_gains
 from tuning.identification.problem import IdentificationProblem, lanes_of, noise_floor
@@ -69,6 +70,7 @@ def build_problem(
     compliance: Scalar | None = None
     if both is not None:
         lanes, noise, compliance = both.lanes, both.noise, both.compliance
+    lanes = padded(lanes)
     if compliance is not None:  # believed is the drive's rigid screw
         believed = dataclasses.replace(believed, compliance=0.0)
         compliance = compliance if begun.compliance is None else begun.compliance

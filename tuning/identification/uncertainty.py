@@ -40,7 +40,7 @@ class Covariance(NamedTuple):
 def correlation_length(residual: Float[np.ndarray, "lanes n"]) -> int:
     """Samples after which a residual has forgotten itself: where its autocorrelation first stays within the noise."""
     correlation = autocorrelation(residual, residual.shape[1] // 10)
-    inside = np.abs(correlation) < 3.0 / np.sqrt(residual.size) + 0.02
+    inside = np.abs(correlation) < 3.0 / np.sqrt(max(1, np.count_nonzero(residual))) + 0.02
     outside = np.flatnonzero(~inside)
     return int(outside[-1] + 1) if len(outside) else 1
 
@@ -87,7 +87,7 @@ def sandwich(
     largest = np.maximum(1.0, np.max(np.abs(jacobian), axis=(0, 1)))
     jacobian, believed = jacobian / largest, (prior / largest).T @ (prior / largest)
     information = np.einsum("lnk,lnj->kj", jacobian, jacobian) + believed
-    enough = lanes * samples // (MIN_BLOCKS_PER_PARAMETER * count)
+    enough = np.count_nonzero(residual) // (MIN_BLOCKS_PER_PARAMETER * count)
     block = min(samples, max(round(BLOCK * rate), min(2 * correlation_length(residual), enough)))
     filled = -(-samples // block) * block  # the last block of a lane may be short
     scores = np.pad(jacobian * residual[:, :, None], ((0, 0), (0, filled - samples), (0, 0)))
