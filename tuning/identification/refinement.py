@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.model.parameters import Drive
 from diffdrive.numerics.arrays import Scalar, as_arrays
+from diffdrive.numerics.directions import along_each
 from tuning.identification.filter_gain import PROCESS_FORCES, MostLikely, filter_lanes, most_likely
 from tuning.identification.prediction import Prediction
 from tuning.identification.problem import FINEST_SUBSTEP, IdentificationProblem, Innovations, compliance_of, sampling_of
@@ -252,11 +253,7 @@ def linearised(
     fine: Innovations, theta: Float[Array, " k"], problem: IdentificationProblem
 ) -> tuple[Float[Array, " m"], Float[Array, "m k"]]:
     """The residuals at theta, [m], and their derivative, [m, k]."""
-
-    def along(direction: Float[Array, " k"]) -> tuple[Array, Array]:
-        return jax.jvp(lambda theta: fine(theta, problem), (theta,), (direction,))
-
-    return jax.vmap(along, out_axes=(None, 1))(jnp.eye(len(theta)))
+    return along_each(lambda theta: fine(theta, problem), theta, axis=1)
 
 
 def _sandwich_of(

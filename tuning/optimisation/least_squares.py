@@ -17,6 +17,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
 from diffdrive.errors import DivergenceError, ParameterError
+from diffdrive.numerics.directions import along_each
 from diffdrive.support.resources import require_memory
 
 StepProgress = Callable[[int, int, float], None]
@@ -84,11 +85,7 @@ def with_jacobian(residuals: Residuals) -> Residuals:
     @value.defjvp
     def both(primals: tuple[Theta, PyTree], tangents: tuple[Theta, PyTree]) -> tuple[Array, Array]:
         theta, args = primals
-
-        def along(direction: Theta) -> tuple[Array, Array]:
-            return jax.jvp(lambda theta: residuals(theta, args), (theta,), (direction,))
-
-        found, columns = jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(theta)))
+        found, columns = along_each(lambda theta: residuals(theta, args), theta, axis=0)
         return found, tangents[0] @ columns
 
     return value
@@ -112,13 +109,20 @@ def _scaled(residuals: Residuals) -> Callable[[Theta, PyTree], tuple[Float[Array
 
 
 @eqx.filter_jit
-def _norm(residuals: Residuals, theta: Theta, args: PyTree) -> Float[Array, ""]:
-    return jnp.linalg.norm(residuals(theta, args))
+def _value(residuals: Residuals, theta: Theta, args: PyTree) -> Float[Array, " m"]:
+    return residuals(theta, args)
+
+
+def _blank(theta: Theta, args: PyTree) -> Float[Array, " m"]:
+    return args + 0.0 * jnp.sum(theta)
 
 
 @eqx.filter_jit
-def _begin(residuals: Residuals, solver: LevenbergMarquardt, theta: Theta, args: PyTree) -> PyTree:
-    fn = _scaled(residuals)
+def _begin(solver: LevenbergMarquardt, theta: Theta, unit: Float[Array, ""], blank: Float[Array, " m"]) -> PyTree:
+    """The state before the first step. It has the shapes of a point's value and derivative, and none of their numbers,
+    so that nothing is simulated for it: `blank` stands for the residuals.
+    """
+    fn, args = _scaled(_blank), (unit, blank)
     f_struct, aux_struct = eqx.filter_eval_shape(fn, theta, args)
     return solver.init(fn, theta, args, OPTIONS, f_struct, aux_struct, NO_TAGS)
 
@@ -172,7 +176,8 @@ def levenberg_marquardt(
     """
     started = time.perf_counter()
     point = jnp.asarray(theta)
-    initial_cost = float(_norm(residuals, point, args))
+    value_at_start = _value(residuals, point, args)
+    initial_cost = float(jnp.linalg.norm(value_at_start))
     if not np.isfinite(initial_cost):
         raise DivergenceError(
             "the loop diverges where the search starts: start from values with which `simulate` is ok"
@@ -182,7 +187,7 @@ def levenberg_marquardt(
     best, cost, history, accepted_costs = point, initial_cost, [initial_cost], [initial_cost]
     outcome, status, count = Outcome.STOPPED, f"stopped after {max_steps} steps, still falling", 0
     try:
-        state = _begin(residuals, solver, point, scaled_args)
+        state = _begin(solver, point, scaled_args[0], jnp.zeros_like(value_at_start))
         for count in range(1, max_steps + 1):
             point, state, value, offset, finished, result = _step(residuals, solver, point, scaled_args, state)
             new_cost = float(value)
@@ -217,12 +222,11 @@ _LANES = eqx.if_array(0)
 def _begin_lanes(
     residuals: Residuals, solver: LevenbergMarquardt, points: Float[Array, "s k"], args: PyTree
 ) -> tuple[Float[Array, " s"], PyTree]:
-    units = jax.vmap(lambda theta: jnp.linalg.norm(residuals(theta, args)))(points) / START_NORM
-    fn = _scaled(residuals)
-    f_struct, aux_struct = eqx.filter_eval_shape(fn, points[0], (units[0], args))
+    values = jax.vmap(lambda theta: residuals(theta, args))(points)
+    units, blank = jnp.linalg.norm(values, axis=1) / START_NORM, jnp.zeros_like(values[0])
 
     def init_lane(theta: Theta, unit: Float[Array, ""]) -> PyTree:
-        return solver.init(fn, theta, (unit, args), OPTIONS, f_struct, aux_struct, NO_TAGS)
+        return _begin(solver, theta, unit, blank)
 
     return units, eqx.filter_vmap(init_lane, out_axes=_LANES)(points, units)
 

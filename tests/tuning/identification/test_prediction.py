@@ -390,6 +390,21 @@ def test_a_force_that_the_model_lacks_is_found_in_its_size():
     assert 0.5 < np.std(smooth[late]) / np.std(given[late]) < 1.5
 
 
+@pytest.mark.parametrize("amplitude", [0.0, 2.0, 20.0])
+def test_the_likeliest_force_is_that_of_all(amplitude):
+    """Though not all of them are tried."""
+    reference = reversal()
+    sine = amplitude * np.sin(2 * np.pi * 3.0 * reference.time)
+    lanes = logged(replace(DELAYED, sensor=Sensor(noise=NOISE)), reference, disturbance=sine, seed=0)
+    every = [
+        float(filter_lanes(as_arrays(DELAYED), 1.3, one, NOISE, lanes, SAMPLING).deviance) for one in PROCESS_FORCES
+    ]
+    found, _ = filtered_under(amplitude)
+    assert found.process_force == PROCESS_FORCES[np.argmin(every)]
+    assert found.deviance == pytest.approx(min(every), rel=1e-12)
+    assert found.deviance_gain == pytest.approx(every[0] - min(every), rel=1e-9)
+
+
 def test_without_the_constant_force_the_filter_invents_it():
     drive = eqx.tree_at(lambda d: d.plant.constant_force, DELAYED, 0.0)
     found = most_likely(as_arrays(drive), 1.3, NOISE, noisy_lane(), SAMPLING)
