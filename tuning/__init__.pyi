@@ -1,3 +1,5 @@
+from .accuracy.result import SeverityResult
+from .accuracy.severity import severity
 from .comparison.result import ComparisonResult
 from .comparison.workflow import compare
 from .diagnosis.workflow import Cause, DiagnosisResult, diagnose
@@ -24,6 +26,7 @@ __all__ = [
     "ParetoFront",
     "ParetoPoint",
     "Requirements",
+    "SeverityResult",
     "StartResult",
     "SweepResult",
     "TuningResult",
@@ -34,6 +37,7 @@ __all__ = [
     "pareto_front",
     "propose_notch",
     "register_aggregation",
+    "severity",
     "start",
     "sweep",
     "tune",

@@ -104,6 +104,11 @@ def effects_by_part() -> dict[str, tuple[type[Effect], ...]]:
     return {part: (*effects, *(e for e in own if e.part == part)) for part, effects in _BUILT_IN.items()}
 
 
+def part_of(effect: Effect) -> str:
+    """The part of the machine that an effect belongs to, one of `PARTS`."""
+    return next((part for part, effects in effects_by_part().items() if type(effect) in effects), effect.part)
+
+
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     """Effects in the catalogue's order: drive files know no other.
 

@@ -1,0 +1,44 @@
+"""ISO 230-4: how round a circle is, of paths that can be written down."""
+
+import numpy as np
+import pytest
+
+from tuning.accuracy.circle import TURNS, circle_between, last_turn, roundness
+
+CIRCLE = circle_between(-0.1, 0.1, 0.05, 1.0, 1_000.0)
+TURN = last_turn(CIRCLE.motion.position, CIRCLE)
+VELOCITY = np.gradient(TURN)
+
+
+def test_the_motion_is_whole_turns_within_its_limits():
+    assert CIRCLE.samples % 4 == 0
+    assert len(CIRCLE.motion.time) == TURNS * CIRCLE.samples + 1
+    assert np.max(np.abs(CIRCLE.motion.velocity)) <= 0.025 * (1 + 1e-9)
+    assert np.max(np.abs(CIRCLE.motion.acceleration)) <= 1.0
+    assert (TURN.min(), TURN.max()) == pytest.approx((-CIRCLE.radius, CIRCLE.radius), rel=1e-9)
+
+
+def test_a_perfect_axis_draws_a_perfect_circle_wherever_its_middle_is():
+    assert max(roundness(TURN, TURN)) < 1e-15
+    assert roundness(TURN + 1e-3, TURN).deviation < 1e-12
+
+
+def test_a_wrong_scale_makes_an_oval_without_hysteresis():
+    """r sqrt(1 + (2 e + e^2) cos^2): radii from r to r (1 + e)."""
+    found = roundness((1 + 1e-4) * TURN, TURN)
+    assert found.deviation == pytest.approx(1e-4 * CIRCLE.radius, rel=1e-3)
+    assert found.hysteresis < 1e-15
+
+
+def test_lost_motion_is_a_step_at_the_reversals_and_all_of_the_hysteresis():
+    """Ahead of each reversal the table is half of it behind, and after it again, the other way."""
+    lost = 4e-6
+    found = roundness(TURN - 0.5 * lost * np.sign(VELOCITY), TURN)
+    assert found.deviation == pytest.approx(lost, rel=0.02)
+    assert found.hysteresis == pytest.approx(lost, rel=0.02)
+
+
+def test_a_lag_that_both_axes_have_is_no_deviation():
+    late = np.roll(0.999 * TURN, 3)
+    assert max(roundness(late, late)) < 1e-12
+    assert roundness(late, TURN).deviation > 1e-4 * CIRCLE.radius
