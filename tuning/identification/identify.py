@@ -22,12 +22,12 @@ from diffdrive.numerics.arrays import as_arrays, require_double_precision
 from diffdrive.support.bounds import require_count
 from diffdrive.support.resources import format_count, require_memory
 from tuning.identification.adequacy import Adequacy, adequacy
+from tuning.identification.encoder_choice import SIGNIFICANCE, permitted
 from tuning.identification.estimates import ParameterEstimate, estimates
 from tuning.identification.parameters import axis_path
 from tuning.identification.problem import COARSE_SUBSTEP, FINE_SUBSTEP, IdentificationProblem, Innovations, sampling_of
 from tuning.identification.refinement import (
     RefinedFit,
-    by_scale_alone,
     coulomb_level,
     leading_innovation,
     missing_force,
@@ -109,9 +109,9 @@ def identify(
     `fixed` names parameters (as in the drive file) that stay, `bounded` those with bounds of their own. Loads must be
     in the logs where they differ. The first search starts from inverse dynamics, or from `start`, the answer of an
     earlier fit with the same drive. Of logs with a motor encoder beside the scale both are fitted, unless a rigid
-    machine lacks more force for that than for the scale alone. Finished searches are kept in the `store`, and taken
-    from there when the identification is begun again. Raises `LogError` where a log cannot be used and `ParameterError`
-    for unknown names.
+    machine lacks a force for that and the scale alone has another answer. Finished searches are kept in the `store`,
+    and taken from there when the identification is begun again. Raises `LogError` where a log cannot be used and
+    `ParameterError` for unknown names.
     """
     require_search(starts, seed)
     require_double_precision()
@@ -165,32 +165,21 @@ def identify(
         open_unknowns=frozenset(undetermined | setup.unexcited),
         rival=rival,
     )
-    note = "" if was_interrupted(fit.search) or not found.adequacy.lacks_force else _prefers_scale(fit, setup.noise)
-    if not note:
+    if fit.problem.lanes.motor is None or was_interrupted(fit.search) or not found.adequacy.lacks_force:
         return found
     bounds = {name: limits for name, limits in (bounded or {}).items() if name.rpartition(".")[2] != "compliance"}
     alone = identify(
         [log.replace(motor_position=None) for log in logs], drive,
         fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=progress, start=start,
     )  # fmt: skip
-    return replace(alone, notes=(note, *alone.notes))
-
-
-def _prefers_scale(fit: RefinedFit, noise: float) -> str:
-    """Why the scale alone is to be fitted; empty where a rigid machine explains both encoders as well as the scale.
-
-    At one and the same answer, the filter has to invent less force for the scale alone.
-    """
-    if fit.problem.lanes.motor is None:
-        return ""
-    both, alone = (float(np.sqrt(np.nanmean(missing_force(one) ** 2))) for one in (fit, by_scale_alone(fit, noise)))
-    if not both > alone:
-        return ""
-    return (
-        f"the scale alone is fitted, and not the motor's encoder: with both a force of {both:.2g} N RMS is missing, "
-        f"with the scale {alone:.2g} N: the motor moves against the table as no rigid machine does; a diagnosis looks "
-        "for what the screw between them does"
+    if was_interrupted(alone.search) or permitted(found, alone) >= SIGNIFICANCE:
+        return found
+    note = (
+        f"the scale alone is fitted, and not the motor's encoder: with both a force of {found.adequacy.missing:.2g} N "
+        f"RMS is missing, with the scale {alone.adequacy.missing:.2g} N, and its answer is another: the motor moves "
+        "against the table as no rigid machine does; a diagnosis looks for what the screw between them does"
     )
+    return replace(alone, notes=(note, *alone.notes))
 
 
 def require_search(starts: int, seed: int) -> None:

@@ -315,21 +315,6 @@ def missing_force(fit: RefinedFit) -> Float[np.ndarray, "lanes n"]:
     return smoothed
 
 
-def by_scale_alone(fit: RefinedFit, noise: float) -> RefinedFit:
-    """The same answer, filtered by the scale without the motor's encoder; `noise` (m) is the scale's."""
-    problem = fit.problem._replace(lanes=fit.problem.lanes._replace(motor=None))
-    likeliest = _most_likely_at(fit.residuals, fit.search.theta, problem, noise)
-    drive, delay, compliance = _machine(fit.residuals, fit.search.theta, problem)
-    given = (noise, problem.lanes, fit.residuals.sampling, compliance)
-    filtered = filter_lanes(drive, delay, likeliest.process_force, *given)
-    counted = np.asarray(filtered.innovation) * np.asarray(problem.lanes.counts)
-    problem = problem._replace(gains=jax.tree.map(np.asarray, filtered.gains))
-    return fit._replace(
-        problem=problem, innovation=counted, motor_innovation=None,
-        process_force=likeliest.process_force, deviance_gain=likeliest.deviance_gain,
-    )  # fmt: skip
-
-
 def leading_innovation(fit: RefinedFit) -> tuple[Float[np.ndarray, "lanes n"], Float[np.ndarray, "lanes n"]]:
     """The innovations (m) of the finer encoder, and how far they were expected to scatter.
 

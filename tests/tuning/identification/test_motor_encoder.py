@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,13 +21,12 @@ from diffdrive.observers.kalman import full_matrix, kalman_gain_along, update_co
 from experiments.studies.recovery.excitation import CREEPING, FAST, MEDIUM, SLOW, STRONG, concatenate, resting, strokes
 from tests.support.asymmetric_drive import ASYMMETRIC
 from tests.support.sound_log import RATE, axis_of
-from tuning.identification.filter_gain import filter_lanes, most_likely
-from tuning.identification.identify import _prefers_scale, identify
+from tuning.identification.filter_gain import filter_lanes
+from tuning.identification.identify import identify
 from tuning.identification.motor_encoder import with_motor_encoder, without_doubtful_encoder
-from tuning.identification.parameters import FIXABLE
 from tuning.identification.prediction import Lanes, MotorReadings, constant_gains, predict
 from tuning.identification.problem import Innovations, lanes_of, sampling_of
-from tuning.identification.refinement import RefinedFit, evaluated
+from tuning.identification.refinement import evaluated
 from tuning.identification.setup import build_problem
 
 SAMPLING = sampling_of(RATE, 50e-6)
@@ -297,29 +295,3 @@ def test_a_motor_that_swings_on_its_screw_is_not_fitted_and_the_scale_is_to_the_
     assert both.notes[1:] == alone.notes
     assert both.estimates == alone.estimates
     assert np.array_equal(both.innovation, alone.innovation)
-
-
-def at_truth(compliance, *effects):
-    """The filter along a log at the true parameters, and at this compliance (m/N)."""
-    held = [name for name in FIXABLE if name != "compliance"]
-    setup = build_problem([logged(*effects)], DRIVE, held, {})
-    (screw,), lanes = setup.free, setup.problem.lanes
-    share = (compliance - screw.low) / (screw.high - screw.low)
-    theta = np.log(share / (1.0 - share)) - setup.problem.origin
-    residuals = Innovations(setup.free, SAMPLING)
-    drive, unknowns = residuals.unpack(jnp.asarray(theta), setup.problem)
-    given = (setup.noise, lanes, SAMPLING, unknowns.compliance)
-    process = most_likely(drive, unknowns.delay, *given).process_force
-    problem = setup.problem._replace(gains=filter_lanes(drive, unknowns.delay, process, *given).gains)
-    fit = RefinedFit(residuals, problem, SimpleNamespace(theta=theta), None, None, None, None)
-    return fit.with_prediction(evaluated(residuals, jnp.asarray(theta), as_arrays(problem))[1]), setup.noise
-
-
-@pytest.mark.long
-def test_the_scale_alone_is_preferred_where_the_motor_swings_and_not_where_the_machine_is_rigid():
-    assert _prefers_scale(*at_truth(0.0)) == ""
-    stiffness = SCREW.motor_share * (1.0 - SCREW.motor_share) * 100.0 * (2.0 * np.pi * SCREW.frequency) ** 2
-    fit, noise = at_truth(SCREW.table_friction / stiffness, SCREW)
-    assert "the motor moves against the table as no rigid machine does" in _prefers_scale(fit, noise)
-    one_encoder = fit._replace(problem=fit.problem._replace(lanes=fit.problem.lanes._replace(motor=None)))
-    assert _prefers_scale(one_encoder, noise) == ""
