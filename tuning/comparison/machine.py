@@ -18,7 +18,7 @@ from tuning.identification.parameters import axis_path, parameter_at, without_si
 from tuning.identification.refinement import leading_innovation
 from tuning.identification.uncertainty import repetition_inflation
 from tuning.identification.unknowns import Unknowns, value_at
-from tuning.optimisation.space import SearchSpace
+from tuning.optimisation.space import near_bound
 
 
 class Component(NamedTuple):
@@ -80,7 +80,7 @@ def _weak(found: Identification) -> set[str]:
     fit = found.full_fit
     errors = fit.problem.prior * np.sqrt(np.diag(fit.covariance.matrix))
     weak = {one.path for one, error in zip(fit.residuals.free, errors, strict=True) if not 0 < error <= UNDETERMINED}
-    return weak | set(SearchSpace(fit.residuals.free, fit.problem.origin).near_bound(fit.search.theta))
+    return weak | set(near_bound(fit.residuals.free, fit.search.theta + fit.problem.origin))
 
 
 def _is_relative(path: str) -> bool:

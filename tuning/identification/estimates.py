@@ -17,7 +17,7 @@ from tuning.identification.parameters import PARAMETERS, SIDES, IdentifiedParame
 from tuning.identification.problem import IdentificationProblem, Innovations
 from tuning.identification.uncertainty import Covariance
 from tuning.identification.unknowns import Unknowns, free_paths, with_value
-from tuning.optimisation.space import SearchSpace
+from tuning.optimisation.space import near_bound
 
 
 class EstimateStatus(enum.StrEnum):
@@ -121,7 +121,7 @@ def estimates(
     covariance_of_values = slope @ covariance.matrix @ slope.T
     widths = covariance.quantile * np.sqrt(np.diag(covariance_of_values))
     bounds = _reported_bounds(point, innovations, problem, symmetric)
-    at_bound = set(SearchSpace(innovations.free, problem.origin).near_bound(theta))
+    at_bound = set(near_bound(innovations.free, theta + problem.origin))
     table = []
     for row, value, width, direction in zip(before, estimated, widths, slope, strict=True):
         if row.unknown in undetermined:
@@ -199,7 +199,7 @@ def _reported_bounds(
         }
 
     found = {}
-    for path, low, high in innovations.free:
+    for (path, _), low, high in zip(innovations.free, *np.asarray(problem.bounds), strict=True):
         lowest, highest = values_at(path, low), values_at(path, high)
         found[path] = {reported: (lowest[reported], highest[reported]) for reported in lowest}
     return found

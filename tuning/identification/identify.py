@@ -41,7 +41,7 @@ from tuning.identification.setup import IdentificationSetup, build_problem
 from tuning.identification.uncertainty import Covariance, repetition_inflation
 from tuning.identification.unknowns import MULTIMODAL, Unknowns
 from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, StepProgress, multistart, no_progress
-from tuning.optimisation.space import FreeParameter, SearchSpace
+from tuning.optimisation.space import Coordinate, coordinates, near_bound
 from tuning.store.store import Store, digest
 
 COARSE_EVERY = 8  # samples; the many starts look at each n-th innovation
@@ -118,7 +118,7 @@ def identify(
     check_drive(drive)
     require_coulomb_friction(drive, "identification")
     setup = build_problem(logs, drive, fixed, bounded or {}, start)
-    problem, free, rate = setup.problem, setup.free, setup.rate
+    problem, free, rate = setup.problem, coordinates(setup.free), setup.rate
     coarse = Innovations(free, sampling_of(rate, COARSE_SUBSTEP), COARSE_EVERY)
     points, costs, stopped = _many_starts(coarse, problem, starts, seed, progress, store)
     theta = points[int(np.argmin(costs))]
@@ -188,7 +188,7 @@ def require_search(starts: int, seed: int) -> None:
     require_count("seed", seed, at_least=0)
 
 
-def start_points(free: Sequence[FreeParameter], starts: int, seed: int) -> Float[np.ndarray, "s k"]:
+def start_points(free: Sequence[Coordinate], starts: int, seed: int) -> Float[np.ndarray, "s k"]:
     """Points to search from: where the problem says, and about it in what the logs may leave several answers for."""
     require_memory(ParameterError, f"{format_count(starts)} starts", 8.0 * starts * len(free), "give fewer")
     is_multimodal = np.array([parameter.path.split(".")[0] in MULTIMODAL for parameter in free])
@@ -259,11 +259,11 @@ def _best_delay(coarse: Innovations, problem: IdentificationProblem) -> Float[np
 def _undetermined(fit: RefinedFit) -> set[str]:
     """What the logs hardly narrow; not what they push against its bound, where the search vector has no more effect."""
     free, errors = fit.residuals.free, fit.problem.prior * np.sqrt(np.diag(fit.covariance.matrix))
-    pushed = SearchSpace(free, fit.problem.origin).near_bound(fit.search.theta)
+    pushed = near_bound(free, fit.search.theta + fit.problem.origin)
     return {parameter.path for parameter, error in zip(free, errors, strict=True) if error > UNDETERMINED} - set(pushed)
 
 
-def _correlated(free: tuple[FreeParameter, ...], covariance: Covariance) -> list[tuple[str, str, float]]:
+def _correlated(free: tuple[Coordinate, ...], covariance: Covariance) -> list[tuple[str, str, float]]:
     found = []
     for a in range(len(free)):
         for b in range(a):

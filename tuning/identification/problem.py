@@ -15,7 +15,7 @@ from diffdrive.numerics.arrays import Scalar
 from tuning.identification.prediction import FilterGains, Lanes, Prediction, initial_velocity, predict
 from tuning.identification.symmetry import departure_from_symmetry
 from tuning.identification.unknowns import Unknowns
-from tuning.optimisation.space import FreeParameter, SearchSpace
+from tuning.optimisation.space import Coordinate, inserted, values_at
 
 SLOW_LOG = 999.0  # Hz, below which motion shows in third differences
 WINDOW = 50
@@ -87,6 +87,7 @@ class IdentificationProblem(NamedTuple):
     lanes: Lanes
     gains: FilterGains
     origin: Float[np.ndarray, " free"]  # of the search space
+    bounds: Float[np.ndarray, "2 free"]  # of what is free, lowest and highest
     prior: Float[
         np.ndarray, " free"
     ]  # how many units of belief (a factor of five) one unit of theta is; 1 in usual bounds
@@ -96,7 +97,7 @@ class IdentificationProblem(NamedTuple):
 class Innovations:
     """Residuals of an `IdentificationProblem` as a function of theta.
 
-    Hashed by value, so that the same question is compiled once.
+    Hashed by value, so that the same question is compiled once, whatever the machine and its bounds.
 
     Innovations over their expected scatter, each `stride`-th, those of two encoders in turn; then two priors: the
     distance of theta from its start in units of belief, a factor of five, and how much more the directions differ than
@@ -104,13 +105,14 @@ class Innovations:
     says nothing.
     """
 
-    free: tuple[FreeParameter, ...]
+    free: tuple[Coordinate, ...]
     sampling: Sampling
     stride: int = 1
 
     def unpack(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> tuple[Drive, Unknowns]:
         """The drive and the unknowns at theta."""
-        unknowns = SearchSpace(self.free, problem.origin).insert(problem.unknowns, theta)
+        values = values_at(theta + problem.origin, self.free, problem.bounds)
+        unknowns = inserted(problem.unknowns, self.free, values)
         return unknowns.drive(problem.believed), unknowns
 
     def evaluate(

@@ -8,7 +8,7 @@ from diffdrive.errors import ParameterError
 from tuning.identification.parameters import BOUNDABLE, axis_path, parameter_called
 from tuning.identification.problem import IdentificationProblem
 from tuning.identification.unknowns import default_bounds, free_paths, value_at, with_value
-from tuning.optimisation.space import FreeParameter, search_space
+from tuning.optimisation.space import FreeParameter, bounds_of, search_space
 
 MARGIN = 0.02  # of its range (of its decades, where it is positive), by which a start is kept off its bounds
 
@@ -34,7 +34,8 @@ def free_space(
     if not free:
         raise ParameterError("every parameter is fixed: leave at least one free")
     prior = np.array([_width(parameter) / _width(_default_bounds(problem, parameter.path)) for parameter in free])
-    within = problem._replace(unknowns=unknowns, origin=np.asarray(search_space(unknowns, free).origin), prior=prior)
+    origin = np.asarray(search_space(unknowns, free).origin)
+    within = problem._replace(unknowns=unknowns, origin=origin, bounds=bounds_of(free), prior=prior)
     return within, tuple(free), notes
 
 

@@ -280,7 +280,7 @@ def without_undetermined(
     free, problem = fit.residuals.free, fit.problem
     is_free = np.array([parameter.path not in undetermined for parameter in free])
     unknowns, found = problem.unknowns, fit.residuals.unpack(jnp.asarray(fit.search.theta), problem)[1]
-    for path, low, high in free:
+    for (path, _), low, high in zip(free, *np.asarray(problem.bounds), strict=True):
         if path not in undetermined:
             continue
         believed = value_at(problem.believed_unknowns, path)
@@ -292,7 +292,10 @@ def without_undetermined(
         unknowns = with_value(unknowns, path, float(np.clip(believed, low, high)))
     smaller = dataclasses.replace(fit.residuals, free=tuple(itertools.compress(free, is_free)))
     origin, prior = np.asarray(problem.origin)[is_free], np.asarray(problem.prior)[is_free]
-    return smaller, fit.search.theta[is_free], problem._replace(unknowns=unknowns, origin=origin, prior=prior)
+    left = problem._replace(
+        unknowns=unknowns, origin=origin, bounds=np.asarray(problem.bounds)[:, is_free], prior=prior
+    )
+    return smaller, fit.search.theta[is_free], left
 
 
 def missing_force(fit: RefinedFit) -> Float[np.ndarray, "lanes n"]:

@@ -82,6 +82,7 @@ def build_problem(
         lanes=lanes,
         gains=constant_gains(_rough_bandwidth(drive, rate), noise, lanes, 1.0 / rate),
         origin=np.zeros(0),
+        bounds=np.zeros((2, 0)),
         prior=np.zeros(0),
     )
     fixed_names, unexcited = held_unknowns(fixed), frozenset[str]()

@@ -32,6 +32,23 @@ class FreeParameter(NamedTuple):
         return self.path.removesuffix(".positive").removesuffix(".negative")
 
 
+class Coordinate(NamedTuple):
+    """How a free parameter moves, without how far: what a program is compiled for."""
+
+    path: str
+    logarithmic: bool
+
+
+def coordinates(free: Sequence[FreeParameter]) -> tuple[Coordinate, ...]:
+    """How each moves."""
+    return tuple(Coordinate(one.path, one.low > 0) for one in free)
+
+
+def bounds_of(free: Sequence[FreeParameter]) -> Float[np.ndarray, "2 k"]:
+    """Where each stays, lowest and highest."""
+    return np.array([[one.low for one in free], [one.high for one in free]])
+
+
 class SearchSpace(NamedTuple):
     """Free parameters as one unbounded vector: theta = 0 is where each started, and no theta leaves the bounds.
 
@@ -48,28 +65,46 @@ class SearchSpace(NamedTuple):
 
     def values(self, theta: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Float[Array, " k"]:
         """The parameters at `theta`."""
-        share = jax.nn.sigmoid(jnp.asarray(theta) + self.origin)
-        found = []
-        for k, (_, low, high) in enumerate(self.free):
-            if low > 0:
-                found.append(low * jnp.exp(np.log(high / low) * share[k]))
-            else:
-                found.append(low + (high - low) * share[k])
-        return jnp.stack(found)
+        return values_at(theta + self.origin, coordinates(self.free), bounds_of(self.free))
 
     def insert(self, model: Model, theta: Float[Array, " k"] | Float[np.ndarray, " k"]) -> Model:
         """The model with its free parameters at `theta`."""
-        values = self.values(theta)
-        new = {}
-        for k, (path, *_) in enumerate(self.free):
-            is_pair = isinstance(node_at(model, path), Directional)
-            new[path] = Directional(values[k], values[k]) if is_pair else values[k]
-        return with_nodes(model, new)
+        return inserted(model, coordinates(self.free), self.values(theta))
 
     def near_bound(self, theta: Float[np.ndarray, " k"], within: float = 0.01) -> list[str]:
         """Paths of the parameters that ended within 1 % of their range from a bound."""
-        share = np.asarray(jax.nn.sigmoid(jnp.asarray(theta) + self.origin))
-        return [free.path for free, s in zip(self.free, share, strict=True) if s < within or s > 1 - within]
+        return near_bound(self.free, theta + self.origin, within)
+
+
+def values_at(
+    place: Float[Array, " k"] | Float[np.ndarray, " k"],
+    free: Sequence[Coordinate],
+    bounds: Float[Array, "2 k"] | Float[np.ndarray, "2 k"],
+) -> Float[Array, " k"]:
+    """Parameters between their bounds, from the unbounded place of each."""
+    share, (lowest, highest) = jax.nn.sigmoid(jnp.asarray(place)), bounds
+    found = [
+        low * jnp.exp(jnp.log(high / low) * s) if one.logarithmic else low + (high - low) * s
+        for one, low, high, s in zip(free, lowest, highest, share, strict=True)
+    ]
+    return jnp.stack(found)
+
+
+def inserted(model: Model, free: Sequence[Coordinate], values: Float[Array, " k"]) -> Model:
+    """The model with these values of its free parameters."""
+    new = {}
+    for one, value in zip(free, values, strict=True):
+        is_pair = isinstance(node_at(model, one.path), Directional)
+        new[one.path] = Directional(value, value) if is_pair else value
+    return with_nodes(model, new)
+
+
+def near_bound(
+    free: Sequence[Coordinate] | Sequence[FreeParameter], place: Float[np.ndarray, " k"], within: float = 0.01
+) -> list[str]:
+    """Paths of the parameters that are within 1 % of their range from a bound."""
+    share = np.asarray(jax.nn.sigmoid(jnp.asarray(place)))
+    return [one.path for one, s in zip(free, share, strict=True) if s < within or s > 1 - within]
 
 
 def _short(path: str) -> str:

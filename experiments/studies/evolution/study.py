@@ -36,7 +36,7 @@ from tuning.optimisation.evolution import (
     origin_fractions,
 )
 from tuning.optimisation.least_squares import levenberg_marquardt, multistart
-from tuning.optimisation.space import SearchSpace
+from tuning.optimisation.space import SearchSpace, coordinates
 
 STARTS = 6  # of the gradient search, as in tuning/identification/identify.py
 MAX_STEPS = 30  # of its last search
@@ -109,7 +109,7 @@ def evolution_study(
         raise ParameterError(f"seconds and runs must be positive, got {seconds!r} and {runs!r}")
     report.say(f"Log: {case.log.name}.")
     question = build_problem([case.log], emps.reference_drive(), (), {})
-    residuals = Innovations(question.free, sampling_of(question.rate, COARSE_SUBSTEP), COARSE_EVERY)
+    residuals = Innovations(coordinates(question.free), sampling_of(question.rate, COARSE_SUBSTEP), COARSE_EVERY)
     space, args = SearchSpace(question.free, question.problem.origin), as_arrays(question.problem)
     costs, start = norm_costs(residuals, space, args), origin_fractions(space)
     population = max(5, POPULATION * len(start))

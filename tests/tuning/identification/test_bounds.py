@@ -19,6 +19,7 @@ from tuning.identification.problem import Innovations
 from tuning.identification.refinement import MAX_ROUGH_STEPS, MAX_STEPS
 from tuning.identification.setup import build_problem
 from tuning.identification.uncertainty import Covariance
+from tuning.optimisation.space import coordinates
 
 
 @cache
@@ -92,7 +93,7 @@ def test_a_drive_file_with_more_damping_than_the_machine_is_told():
     paths = [one.path for one in question.free]
     y = np.zeros(len(paths))
     y[paths.index("viscous.positive")] = -1.0
-    innovations = Innovations(question.free, Sampling(RATE))
+    innovations = Innovations(coordinates(question.free), Sampling(RATE))
     covariance = Covariance(np.eye(len(y)), 100, 1.0)
     found = {row.name: row for row in estimates(y, innovations, question.problem, covariance, set())[0]}
     assert (found["viscous.positive"].value, found["viscous.positive"].status) == (0.0, "at its bound")
@@ -172,7 +173,7 @@ def statuses(logs, fixed=(), drive=BELIEVED):
     question = build_problem(logs, drive, fixed, {})
     count = len(question.free)
     known = Covariance(1e-4 * np.eye(count), 80, 1.0)
-    innovations = Innovations(question.free, Sampling(RATE))
+    innovations = Innovations(coordinates(question.free), Sampling(RATE))
     table, _ = estimates(np.zeros(count), innovations, question.problem, known, set(question.unexcited))
     return {one.path: one for one in table}
 

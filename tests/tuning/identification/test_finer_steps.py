@@ -14,6 +14,7 @@ from tuning.identification.problem import Innovations
 from tuning.identification.refinement import FINE_GAIN, SETTLED, _by_chords, fit_at, search_once
 from tuning.identification.setup import build_problem
 from tuning.optimisation.least_squares import Outcome, no_progress
+from tuning.optimisation.space import coordinates
 
 HELD = ("breakaway_gap", "stribeck_velocity", "bristle_stiffness", "bristle_damping", "constant_force", "delay")
 
@@ -23,7 +24,7 @@ def coarse_fit():
     """A fit with steps so long that finer ones move it."""
     lap = motion.sine(amplitude=4e-3, frequency=2.0, duration=1.0, rate=RATE)
     setup = build_problem([truth_log(MACHINE, GAINS, lap, 0.0, seed=5)], BELIEVED, HELD, {})
-    residuals = Innovations(setup.free, Sampling(RATE, 2))
+    residuals = Innovations(coordinates(setup.free), Sampling(RATE, 2))
     search = search_once(residuals, np.zeros(len(setup.free)), setup.problem, no_progress, FINE_GAIN)
     return fit_at(residuals, setup.problem, search)
 

@@ -28,6 +28,7 @@ from tuning.identification.prediction import Lanes, MotorReadings, constant_gain
 from tuning.identification.problem import Innovations, lanes_of, sampling_of
 from tuning.identification.refinement import evaluated
 from tuning.identification.setup import build_problem
+from tuning.optimisation.space import coordinates
 
 SAMPLING = sampling_of(RATE, 50e-6)
 NOISE, MOTOR_NOISE = 3e-7, 3e-9  # m
@@ -215,7 +216,7 @@ def test_of_several_logs_some_may_have_one_encoder():
     counts = np.asarray(setup.problem.lanes.motor.counts).sum(axis=1)
     assert counts[0] > 0.9 * len(logs[0].time)
     assert counts[1] == 0
-    innovations = Innovations(setup.free, SAMPLING)
+    innovations = Innovations(coordinates(setup.free), SAMPLING)
     found, _ = evaluated(innovations, jnp.zeros(len(setup.free)), as_arrays(setup.problem))
     rows = np.asarray(found)[: 2 * setup.problem.lanes.position.size].reshape(2, -1, 2)
     assert np.all(np.isfinite(found))

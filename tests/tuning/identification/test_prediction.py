@@ -30,7 +30,7 @@ from tuning.identification.problem import IdentificationProblem, Innovations, la
 from tuning.identification.refinement import linearised
 from tuning.identification.unknowns import default_bounds, free_paths, unknowns_of
 from tuning.optimisation.least_squares import with_jacobian
-from tuning.optimisation.space import search_space
+from tuning.optimisation.space import bounds_of, coordinates, search_space
 
 RATE = 4_000.0
 SAMPLING = sampling_of(RATE, 50e-6)
@@ -237,9 +237,10 @@ def problem_at(delay):
     origin = search_space(believed, free).origin
     gains = filter_lanes(DELAYED, delay, 1.0, NOISE, lanes, SAMPLING).gains
     problem = IdentificationProblem(
-        DELAYED, believed, believed, lanes, jax.tree.map(np.asarray, gains), origin, np.ones_like(origin)
-    )
-    return Innovations(free, SAMPLING), as_arrays(problem)
+        DELAYED, believed, believed, lanes, jax.tree.map(np.asarray, gains), origin, bounds_of(free),
+        np.ones_like(origin),
+    )  # fmt: skip
+    return Innovations(coordinates(free), SAMPLING), as_arrays(problem)
 
 
 def eqx_value(unknowns, path):
