@@ -105,6 +105,59 @@ def margins(
 
 
 @drives.command(cls=Computing)
+def severity(
+    drive: DriveFile,
+    tolerance: Annotated[
+        str | None, typer.Option(help="What accuracy A and circular deviation G may be: a length, or an angle.")
+    ] = None,
+    stroke: Annotated[
+        tuple[str, str] | None,
+        typer.Option(help="Lowest and highest position of the tests; by default the middle 90 % of the stroke."),
+    ] = None,
+    speed: Annotated[str | None, typer.Option(help="Speed of the tests; by default the drive file's limit.")] = None,
+    acceleration: Annotated[
+        str | None, typer.Option(help="Acceleration of the tests; by default the drive file's limit.")
+    ] = None,
+    load: Annotated[str, typer.Option(help="Load on the guides.")] = "0 N",
+    seed: Seed = 0,
+    out: Out = None,
+    svg: Svg = False,
+) -> None:
+    """What each unmodelled effect of a drive file costs of its accuracy (ISO 230-2, 230-4), and what to mend first.
+
+    The drive file is one with [effects], such as the augmented.toml of `diagnose`. Positioning and circular test are
+    simulated as it is, without each effect in turn, and without any. Beyond the tolerance the code is 3.
+
+    Example: `diffdrive severity augmented.toml --tolerance 5um --speed 100mm/s --acceleration 1m/s^2 --out severity`
+    """
+    from diffdrive.axis_file.drive_file import read_axis
+    from diffdrive.motion.text import nonnegative_number, number
+    from experiments.reports.report import Report
+    from experiments.reports.severity import report_severity
+    from tuning.accuracy.severity import severity as measure
+
+    axis = read_axis(drive)
+    sheet = axis.sheet
+
+    def optional(text: str | None, unit: str, option: str) -> float | None:
+        return None if text is None else nonnegative_number(text, unit, option, sheet)
+
+    between = None
+    if stroke is not None:
+        between = number(stroke[0], "m", "--stroke", sheet), number(stroke[1], "m", "--stroke", sheet)
+    with Report(f"{drive.name}: what its effects cost", out) as report:
+        with report.stages() as progress:
+            found = measure(
+                axis, tolerance=optional(tolerance, "m", "--tolerance"), stroke=between,
+                speed=optional(speed, "m/s", "--speed"), acceleration=optional(acceleration, "m/s^2", "--acceleration"),
+                load=nonnegative_number(load, "N", "--load", sheet), seed=seed, progress=progress,
+            )  # fmt: skip
+        report_severity(report, found)
+    if found.beyond:
+        raise typer.Exit(3)
+
+
+@drives.command(cls=Computing)
 def tune(
     drive: DriveFile,
     out: Out = None,

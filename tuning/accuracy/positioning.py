@@ -12,7 +12,7 @@ With the mean x_i and the standard deviation s_i of either direction,
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from diffdrive.errors import ParameterError
 from diffdrive.motion.motion import Motion
@@ -27,11 +27,11 @@ DWELL, MEASURED = 0.3, 0.1  # s of rest at a target, and the last of it over whi
 
 
 class Visits(NamedTuple):
-    """When each target is measured: the samples from `begin` on, `count` of them; [m, 2, n], forwards and backwards."""
+    """When each target is measured: so many samples from `begin` on; [m, 2, n], forwards and backwards."""
 
     targets: Float[np.ndarray, " m"]  # m
-    begin: Float[np.ndarray, "m 2 n"]
-    count: int
+    begin: Int[np.ndarray, "m 2 n"]
+    samples: int
 
 
 class Positioning(NamedTuple):
@@ -86,7 +86,7 @@ def positioning_motion(
 
 def deviations(position: Float[np.ndarray, " n"], visits: Visits) -> Float[np.ndarray, "m 2 n"]:
     """How far (m) the table rests from each target, averaged."""
-    samples = visits.begin[..., None] + np.arange(visits.count)
+    samples = visits.begin[..., None] + np.arange(visits.samples)
     return position[samples].mean(axis=-1) - visits.targets[:, None, None]
 
 

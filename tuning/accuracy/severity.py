@@ -24,10 +24,8 @@ from tuning.progress import Progress, reporting
 STROKE_SHARE = 0.9  # of the stroke, about its middle: the test stays clear of its ends
 
 
-class Test(NamedTuple):
+class _Motions(NamedTuple):
     """The motions of both tests."""
-
-    __test__ = False  # of pytest's
 
     positioning: Motion
     visits: Visits
@@ -112,7 +110,9 @@ def severity(
     )  # fmt: skip
 
 
-def _test_of(axis: Axis, stroke: tuple[float, float] | None, speed: float | None, acceleration: float | None) -> Test:
+def _test_of(
+    axis: Axis, stroke: tuple[float, float] | None, speed: float | None, acceleration: float | None
+) -> _Motions:
     """The motions; raises `ParameterError` where nothing says how far and how fast."""
     limits = axis.limits
     low, high = limits.stroke if stroke is None else stroke
@@ -134,7 +134,7 @@ def _test_of(axis: Axis, stroke: tuple[float, float] | None, speed: float | None
     targets = targets_within(low, high, axis.sheet.is_rotary)
     motion, visits = positioning_motion(targets, low, high, fastest, hardest, axis.rate)
     circle = None if axis.sheet.is_rotary else circle_between(low, high, fastest, hardest, axis.rate)
-    return Test(motion, visits, circle)
+    return _Motions(motion, visits, circle)
 
 
 def _parts(effects: Sequence[Effect]) -> tuple[str, ...]:
@@ -157,7 +157,7 @@ def _turn(axis: Axis, machine: Drive, circle: Circle, load: float, seed: int | N
 
 
 def _accuracy(
-    axis: Axis, machine: Drive, test: Test, load: float, seed: int | None, other: Float[np.ndarray, " t"] | None
+    axis: Axis, machine: Drive, test: _Motions, load: float, seed: int | None, other: Float[np.ndarray, " t"] | None
 ) -> Accuracy:
     """What both tests say of a machine; `other` is the turn of the axis that draws the circle with it."""
     found = positioning(deviations(_table(axis, machine, test.positioning, load, seed), test.visits))

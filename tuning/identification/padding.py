@@ -20,9 +20,9 @@ def padded(lanes: Lanes) -> Lanes:
     def longer(signal: Float[Array, "lanes n ..."], mode: str = "edge") -> Float[Array, "lanes m ..."]:
         return jnp.pad(signal, ((0, 0), (0, more), *((0, 0),) * (signal.ndim - 2)), mode=mode)
 
-    of_lanes = {"velocity": None, "counts": None, "motor": None}  # None is no leaf: not padded as signals are
     motor = lanes.motor
     if motor is not None:
         motor = motor._replace(position=longer(motor.position), counts=longer(motor.counts, "constant"))
-    signals = jax.tree.map(longer, lanes._replace(**of_lanes))
+    signals = lanes._replace(velocity=None, counts=None, motor=None)  # type: ignore[arg-type]  # None is no leaf
+    signals = jax.tree.map(longer, signals)
     return signals._replace(velocity=lanes.velocity, counts=longer(lanes.counts, "constant"), motor=motor)

@@ -40,7 +40,8 @@ class Covariance(NamedTuple):
 def correlation_length(residual: Float[np.ndarray, "lanes n"]) -> int:
     """Samples after which a residual has forgotten itself: where its autocorrelation first stays within the noise."""
     correlation = autocorrelation(residual, residual.shape[1] // 10)
-    inside = np.abs(correlation) < 3.0 / np.sqrt(max(1, np.count_nonzero(residual))) + 0.02
+    counted = max(1, int(np.count_nonzero(residual)))
+    inside = np.abs(correlation) < 3.0 / np.sqrt(counted) + 0.02
     outside = np.flatnonzero(~inside)
     return int(outside[-1] + 1) if len(outside) else 1
 

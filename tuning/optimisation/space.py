@@ -73,7 +73,7 @@ class SearchSpace(NamedTuple):
 
     def near_bound(self, theta: Float[np.ndarray, " k"], within: float = 0.01) -> list[str]:
         """Paths of the parameters that ended within 1 % of their range from a bound."""
-        return near_bound(self.free, theta + self.origin, within)
+        return near_bound(coordinates(self.free), np.asarray(theta + self.origin), within)
 
 
 def values_at(
@@ -99,9 +99,7 @@ def inserted(model: Model, free: Sequence[Coordinate], values: Float[Array, " k"
     return with_nodes(model, new)
 
 
-def near_bound(
-    free: Sequence[Coordinate] | Sequence[FreeParameter], place: Float[np.ndarray, " k"], within: float = 0.01
-) -> list[str]:
+def near_bound(free: Sequence[Coordinate], place: Float[np.ndarray, " k"], within: float = 0.01) -> list[str]:
     """Paths of the parameters that are within 1 % of their range from a bound."""
     share = np.asarray(jax.nn.sigmoid(jnp.asarray(place)))
     return [one.path for one, s in zip(free, share, strict=True) if s < within or s > 1 - within]

@@ -28,9 +28,9 @@ from diffdrive.runtime import configure
 from diffdrive.support.atomic_write import write_text
 from diffdrive.support.processes import exit_after, processes
 from tuning.checked_logs import check_logs
-from tuning.diagnosis.diagnose import rounded
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.workflow import diagnose_checked, diagnosis_result
+from tuning.identification.padding import rounded
 from tuning.store.edition import code_digest
 
 NO_EXPERIMENT = Experiment("", [], 0.0, "not asked")

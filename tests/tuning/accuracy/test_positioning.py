@@ -67,7 +67,7 @@ def test_each_target_is_approached_from_either_side_and_measured_at_rest():
     assert np.max(np.abs(motion.acceleration)) <= 2.0 * (1 + 1e-9)
     for target, direction, run in itertools.product(range(5), range(2), range(RUNS)):
         begin = visits.begin[target, direction, run]
-        rest = slice(begin, begin + visits.count)
+        rest = slice(begin, begin + visits.samples)
         assert np.max(np.abs(motion.position[rest] - targets[target])) < 1e-12
         assert np.all(motion.velocity[rest] == 0.0)
         came = motion.velocity[begin - round(DWELL * motion.rate) : begin]

@@ -37,7 +37,7 @@ def test_a_scale_that_reads_too_little_costs_its_slope_times_the_targets_span(fo
 
 def test_of_two_the_one_is_mended_and_the_other_stays(found):
     mended = {one.effect: one.accuracy for one in found.without}
-    assert set(mended) == {"lead_error", "backlash", "any of them"}
+    assert set(mended) == {"lead_error", "backlash", "all"}
     assert mended["lead_error"].accuracy < 0.3 * found.as_it_is.accuracy  # the scale is beside the table
     assert mended["backlash"].hysteresis < 0.5 * found.as_it_is.hysteresis
     assert mended["backlash"].accuracy == pytest.approx(found.as_it_is.accuracy, rel=0.2)
@@ -63,7 +63,7 @@ def test_it_is_saved_with_every_number(found, tmp_path):
     told = json.loads(found.save(tmp_path).read_text())
     assert told["schema"] == "severity/1"
     assert told["as_it_is_m"]["accuracy"] == found.as_it_is.accuracy
-    assert [one["effect"] for one in told["without"]] == ["backlash", "lead_error", "any of them"]
+    assert [one["effect"] for one in told["without"]] == ["backlash", "lead_error", "all"]
     assert told["first"] == "lead_error"
 
 
