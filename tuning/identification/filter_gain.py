@@ -35,11 +35,11 @@ from tuning.identification.prediction import (
     Corrections,
     FilterGains,
     Lanes,
-    applied_force,
     corrected,
     initial_state,
     wind_up,
 )
+from tuning.identification.row_force import applied_force
 
 PROCESS_FORCES = np.geomspace(1e-3, 1e3, 25)  # N, among which the likeliest is looked for
 APART = 3  # of these, from one to the next of the first that are tried
@@ -127,7 +127,7 @@ def run_filter(
         level = drive.friction.coulomb_at(lane.load[0]).positive
         bristle_std = 0.5 * level / drive.friction.bristle_stiffness.positive  # of its deflection at the start
         spread = diagonal((measured_variance, jnp.asarray(INITIAL_VELOCITY_STD) ** 2, bristle_std**2))
-        force = applied_force(drive, lane, delay, sampling.period)
+        force = applied_force(drive.actuator, lane.command, delay, sampling.period) + lane.disturbance
         motor = None
         if lane.motor is not None:
             motor = (lane.motor.position, lane.motor.counts, jnp.full_like(lane.motor.position, lane.motor.noise))

@@ -23,15 +23,12 @@ from jax import lax
 from jaxtyping import Array, Float, PyTree
 
 from diffdrive.model import plant
-from diffdrive.model.actuator import saturate
-from diffdrive.model.current_loop import mean_forces
 from diffdrive.model.friction import stribeck_level
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar, require_double_precision
 from diffdrive.numerics.once import once
+from tuning.identification.row_force import applied_force
 
-MAX_DELAY = 8  # control periods
-MIN_DELAY = -1  # a command that is logged one sample late
 INITIAL_WINDOW, MIN_WINDOW_SAMPLES = (
     5e-3,
     5,
@@ -107,31 +104,6 @@ def constant_gains(bandwidth: float, noise: float, lanes: Lanes, period: float) 
     return FilterGains(position, velocity, bristle, scale.innovation_std, motor)
 
 
-def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
-    """The command `delay` periods later, linear between samples; before the log its first value."""
-    shifted = jnp.zeros_like(command)
-    # not 1 - |delay - periods|: at whole delays, where searches start, its derivative is none of this one's
-    samples = lax.stop_gradient(jnp.clip(jnp.floor(delay), MIN_DELAY, MAX_DELAY - 1))
-    fraction = delay - samples
-    for periods in range(MIN_DELAY, MAX_DELAY + 1):
-        share = jnp.where(periods == samples, 1.0 - fraction, jnp.where(periods == samples + 1, fraction, 0.0))
-        if periods >= 0:
-            past = jnp.concatenate([jnp.full(periods, command[0]), command[: len(command) - periods]])
-        else:
-            past = jnp.concatenate([command[-periods:], jnp.full(-periods, command[-1])])
-        shifted = shifted + share * past
-    return shifted
-
-
-def applied_force(drive: Drive, lane: Lanes, delay: Scalar, period: float) -> Float[Array, " n"]:
-    """The force (N) on the table of one lane, and the known disturbance.
-
-    The command is limited, answered by the current loop where one is stated, and delayed.
-    """
-    requested = jnp.asarray(saturate(drive.actuator, lane.command))
-    return delayed(mean_forces(drive.actuator, requested, period), delay) + lane.disturbance
-
-
 def initial_velocity(position: Float[Array, "*s n"], rate: float) -> Float[Array, "*s"]:
     """Velocity (m/s) at the first sample: that of the parabola through the first few.
 
@@ -200,7 +172,7 @@ def predict(
         return ahead, Prediction(innovation, jnp.asarray(state.velocity), motor_innovation)
 
     def predict_lane(lane: Lanes, gains: FilterGains) -> Prediction:
-        force = applied_force(drive, lane, delay, sampling.period)
+        force = applied_force(drive.actuator, lane.command, delay, sampling.period) + lane.disturbance
         motor = None
         if lane.motor is not None:
             assert gains.motor is not None

@@ -17,10 +17,11 @@ from tuning.identification.inverse_dynamics import LOAD_SPREAD, MIN_SPEED
 from tuning.identification.motor_encoder import with_motor_encoder
 from tuning.identification.padding import padded
 from tuning.identification.parameters import FIXABLE, parameter_called
-from tuning.identification.prediction import MAX_DELAY, constant_gains
+from tuning.identification.prediction import constant_gains
 from tuning.identification.problem import IdentificationProblem, lanes_of, noise_floor
 from tuning.identification.ranges import free_space
 from tuning.identification.regressors import DIRECTIONAL
+from tuning.identification.row_force import MAX_DELAY
 from tuning.identification.seed import initial_drive
 from tuning.identification.unknowns import Unknowns, free_paths, unknowns_of
 from tuning.optimisation.space import FreeParameter

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from diffdrive.model.parameters import Drive, Plant
 from diffdrive.model.quantity import Directional, node_at, quantity, with_nodes
 from diffdrive.numerics.arrays import Scalar
-from tuning.identification.prediction import MAX_DELAY, MIN_DELAY
+from tuning.identification.row_force import MAX_DELAY, MIN_DELAY
 from tuning.optimisation.space import FreeParameter
 
 

@@ -16,7 +16,7 @@ from diffdrive.controllers import PD
 from diffdrive.controllers.base import PDGains, Tracking
 from diffdrive.logs import Log
 from diffdrive.loop.rollout import loop_inputs, rollout_loop
-from diffdrive.model import actuator, plant
+from diffdrive.model import plant
 from diffdrive.model.parameters import Actuator, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from diffdrive.model.quantity import Directional
@@ -25,9 +25,10 @@ from diffdrive.numerics.arrays import as_arrays
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
 from tests.support.asymmetric_drive import ASYMMETRIC
 from tuning.identification.filter_gain import PROCESS_FORCES, filter_lanes, most_likely
-from tuning.identification.prediction import Lanes, constant_gains, delayed, predict
+from tuning.identification.prediction import Lanes, constant_gains, predict
 from tuning.identification.problem import IdentificationProblem, Innovations, lanes_of, sampling_of
 from tuning.identification.refinement import linearised
+from tuning.identification.row_force import delayed
 from tuning.identification.unknowns import default_bounds, free_paths, unknowns_of
 from tuning.optimisation.least_squares import with_jacobian
 from tuning.optimisation.space import bounds_of, coordinates, search_space
@@ -130,36 +131,6 @@ def test_a_current_loop_that_is_stated_is_foreseen_and_one_that_is_not_is_missin
     assert np.max(np.abs(innovations(drive, lanes, gains, delay=1.0))) < 1e-14
     rigid = replace(ASYMMETRIC, actuator=Actuator(force_limit=105.0, delay_samples=1))
     assert np.max(np.abs(innovations(rigid, lanes, gains, delay=1.0))) > 1e-9
-
-
-@given(st.integers(0, 3), st.floats(0.0, 1.0))
-@example(0, 0.0)
-@example(2, 1.0)
-def test_a_delayed_command_is_the_actuators(whole, fraction):
-    command = np.r_[0.0, np.random.default_rng(0).normal(size=30)]
-    machine = Actuator(delay_samples=whole, delay_fraction=fraction)
-    state, forces = actuator.init(machine), []
-    for one in command:
-        state = actuator.step(machine, state, one, 1e-4)
-        forces.append(float(state.applied))
-    np.testing.assert_allclose(delayed(jnp.asarray(command), whole + fraction), forces, atol=1e-14)
-
-
-@given(st.floats(-1.0, 4.0))
-@example(-1.0)
-@example(4.0)
-def test_a_delay_is_linear_interpolation_and_a_negative_one_advances(delay):
-    command = np.random.default_rng(1).normal(size=30)
-    at = np.arange(30.0)
-    np.testing.assert_allclose(delayed(jnp.asarray(command), delay), np.interp(at - delay, at, command), atol=1e-12)
-
-
-@pytest.mark.parametrize("delay", [-0.7, 0.0, 1e-17, -1e-17, 1.0, 1.3, 2.0, 3.0])
-def test_the_delay_of_a_ramp_has_the_ramps_slope_for_a_derivative(delay):
-    """Also at whole delays, where searches start; and none at all for a constant command."""
-    slope = jax.jacfwd(lambda d: delayed(5.0 + 2.0 * jnp.arange(20.0), d))(delay)
-    np.testing.assert_allclose(slope[5:-2], -2.0, atol=1e-12)
-    np.testing.assert_allclose(jax.jacfwd(lambda d: delayed(jnp.full(20, 5.0), d))(delay), 0.0, atol=1e-12)
 
 
 def test_where_the_position_is_counted_from_does_not_matter():
