@@ -33,6 +33,14 @@ def settled(actuator: Actuator, force: Scalar) -> CurrentLoopState | None:
     return CurrentLoopState(force, None if actuator.current_loop_damping is None else 0.0 * force)
 
 
+def ramp_lag(actuator: Actuator) -> Scalar:
+    """How late (s) a ramp of requests is answered, once settled: 1 / w, or D 2 / w; none without a current loop."""
+    if actuator.current_loop_frequency is None:
+        return 0.0
+    damping = 0.5 if actuator.current_loop_damping is None else actuator.current_loop_damping
+    return damping / (jnp.pi * actuator.current_loop_frequency)
+
+
 def advance(
     actuator: Actuator, state: CurrentLoopState, request: Scalar, time: Scalar
 ) -> tuple[CurrentLoopState, Scalar]:

@@ -158,7 +158,7 @@ def held_out_ratio(axis: Axis, paths: Sequence[Path], true: Drive) -> float:
     delay, log = found.estimate("delay").value, found.held_out.logs[0]
     seen = found.initial_axis
     was, floor = (
-        prediction_gaps(dataclasses.replace(seen, drive=drive), delay, log)[MISSING]
+        prediction_gaps(dataclasses.replace(seen, drive=drive), delay, log, found.fit.between)[MISSING]
         for drive in (found.fit.drive, true)
     )
     return was / floor

@@ -197,6 +197,8 @@ def _candidate_information(
     lanes = Lanes(position, command, jnp.zeros(shape), jnp.zeros(shape), jnp.ones(shape), jnp.zeros(shape[0]))
     drive, unknowns = wide.residuals.unpack(jnp.asarray(wide.search.theta), wide.problem)
     fine = wide.residuals.sampling
-    filtered = filter_lanes(drive, unknowns.delay, identified.process_force, identified.noise, lanes, fine)
+    filtered = filter_lanes(
+        drive, unknowns.delay, identified.process_force, identified.noise, lanes, fine, between=identified.between
+    )
     problem = wide.problem._replace(lanes=lanes, gains=jax.tree.map(np.asarray, filtered.gains))
     return _information(wide, problem, shape[0])

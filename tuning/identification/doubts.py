@@ -119,8 +119,8 @@ def _rises(found: Identification, believed: Drive, held_out: Sequence[Log]) -> l
     if not held_out:
         return []
     delay = next(one.value for one in found.estimates if one.name == "delay")
-    before = np.concatenate([mean_square_force(believed, delay_of(believed), log) for log in held_out])
-    after = np.concatenate([mean_square_force(found.drive, delay, log) for log in held_out])
+    before = np.concatenate([mean_square_force(believed, delay_of(believed), log, found.between) for log in held_out])
+    after = np.concatenate([mean_square_force(found.drive, delay, log, found.between) for log in held_out])
     rise = after - before
     if len(rise) < 2 or not np.mean(rise) > 0.0:
         return []

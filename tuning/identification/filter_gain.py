@@ -39,7 +39,7 @@ from tuning.identification.prediction import (
     initial_state,
     wind_up,
 )
-from tuning.identification.row_force import applied_force
+from tuning.identification.row_force import BetweenRows, RowForce, advance, applied_force
 
 PROCESS_FORCES = np.geomspace(1e-3, 1e3, 25)  # N, among which the likeliest is looked for
 APART = 3  # of these, from one to the next of the first that are tried
@@ -48,7 +48,7 @@ INITIAL_VELOCITY_STD = 1e-3  # m/s, standard deviation at the first sample
 
 Carry = tuple[plant.PlantState, Triangle]
 Sums = tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]
-LinearisedPeriod = Callable[[plant.PlantState, Scalar, Scalar], tuple[plant.PlantState, Matrix]]
+LinearisedPeriod = Callable[[plant.PlantState, RowForce, Scalar], tuple[plant.PlantState, Matrix]]
 
 
 class FilterResult(NamedTuple):
@@ -63,11 +63,11 @@ class FilterResult(NamedTuple):
 def _linearised_period(drive: Drive, sampling: Sampling) -> LinearisedPeriod:
     """One control period and its derivative with respect to the state before it."""
 
-    def ahead(velocity: Scalar, bristle: Scalar, force: Scalar, load: Scalar) -> plant.PlantState:
+    def ahead(velocity: Scalar, bristle: Scalar, force: RowForce, load: Scalar) -> plant.PlantState:
         state = plant.PlantState(jnp.zeros_like(velocity), velocity, bristle)
-        return plant.advance(drive, state, force, load, sampling.period, sampling.plant_steps)
+        return advance(drive, state, force, load, sampling)
 
-    def both(state: plant.PlantState, force: Scalar, load: Scalar) -> tuple[plant.PlantState, Matrix]:
+    def both(state: plant.PlantState, force: RowForce, load: Scalar) -> tuple[plant.PlantState, Matrix]:
         _, velocity, bristle = state
         unit, zero = jnp.ones_like(velocity), jnp.zeros_like(velocity)
 
@@ -90,6 +90,7 @@ def run_filter(
     lanes: Lanes,
     sampling: Sampling,
     compliance: Scalar = 0.0,
+    between: BetweenRows = BetweenRows.HELD,
 ) -> FilterResult:
     """Filter each lane; `noise` (m) is the measurement's, `process` (N) the model's, `compliance` (m/N) the screw's."""
     period = _linearised_period(drive, sampling)
@@ -127,7 +128,8 @@ def run_filter(
         level = drive.friction.coulomb_at(lane.load[0]).positive
         bristle_std = 0.5 * level / drive.friction.bristle_stiffness.positive  # of its deflection at the start
         spread = diagonal((measured_variance, jnp.asarray(INITIAL_VELOCITY_STD) ** 2, bristle_std**2))
-        force = applied_force(drive.actuator, lane.command, delay, sampling.period) + lane.disturbance
+        force = applied_force(drive.actuator, lane.command, delay, sampling.period, between)
+        force = force._replace(mean=force.mean + lane.disturbance)
         motor = None
         if lane.motor is not None:
             motor = (lane.motor.position, lane.motor.counts, jnp.full_like(lane.motor.position, lane.motor.noise))
@@ -157,9 +159,10 @@ def _deviances(
     lanes: Lanes,
     sampling: Sampling,
     compliance: Scalar,
+    between: BetweenRows,
 ) -> Float[Array, " p"]:
     def deviance(process: Scalar) -> Float[Array, ""]:
-        return run_filter(drive, delay, process, noise, lanes, sampling, compliance).deviance
+        return run_filter(drive, delay, process, noise, lanes, sampling, compliance, between).deviance
 
     return jax.vmap(deviance)(processes)
 
@@ -178,7 +181,13 @@ class MostLikely(NamedTuple):
 
 
 def most_likely(
-    drive: Drive, delay: Scalar, noise: float, lanes: Lanes, sampling: Sampling, compliance: Scalar = 0.0
+    drive: Drive,
+    delay: Scalar,
+    noise: float,
+    lanes: Lanes,
+    sampling: Sampling,
+    compliance: Scalar = 0.0,
+    between: BetweenRows = BetweenRows.HELD,
 ) -> MostLikely:
     """The likeliest of `PROCESS_FORCES`, as many at once as one vector of the processor holds.
 
@@ -190,7 +199,7 @@ def most_likely(
     some = APART * np.arange(WHOLE)
     while True:
         processes = jnp.asarray(PROCESS_FORCES[some])
-        deviances = np.asarray(_deviances(drive, delay, processes, noise_std, lanes, sampling, screw))
+        deviances = np.asarray(_deviances(drive, delay, processes, noise_std, lanes, sampling, screw, between))
         found[some], seen[some] = np.where(np.isfinite(deviances), deviances, np.inf), True
         best = int(np.argmin(found)) if np.isfinite(found).any() else len(found) - 1
         if seen[max(best - 1, 0) : best + 2].all():
@@ -207,7 +216,8 @@ def filter_lanes(
     lanes: Lanes,
     sampling: Sampling,
     compliance: Scalar = 0.0,
+    between: BetweenRows = BetweenRows.HELD,
 ) -> FilterResult:
     """Filter the lanes under a given process force (N)."""
     delay, process_force, noise_std = (jnp.asarray(value) for value in (delay, process, noise))
-    return _run_filter(drive, delay, process_force, noise_std, lanes, sampling, jnp.asarray(compliance))
+    return _run_filter(drive, delay, process_force, noise_std, lanes, sampling, jnp.asarray(compliance), between)

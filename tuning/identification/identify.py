@@ -37,7 +37,9 @@ from tuning.identification.refinement import (
     without_undetermined,
 )
 from tuning.identification.rivals import RivalValue, rival_values
+from tuning.identification.row_force import BetweenRows
 from tuning.identification.setup import IdentificationSetup, build_problem
+from tuning.identification.snapshots import as_rows_show, on_smooth_command, with_unknown_command
 from tuning.identification.uncertainty import Covariance, repetition_inflation
 from tuning.identification.unknowns import MULTIMODAL, Unknowns
 from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, StepProgress, multistart, no_progress
@@ -75,6 +77,11 @@ class Identification:
     open_unknowns: frozenset[str]  # paths in the search space of what the logs do not determine
     full_fit: RefinedFit  # with every parameter free, before the undetermined ones were put back
     rival: tuple[RivalValue, ...] = ()  # what another start has elsewhere, though it explains the logs as well
+
+    @property
+    def between(self) -> BetweenRows:
+        """What the command does between two rows of the logs: what is likelier."""
+        return self.full_fit.residuals.between
 
     @property
     def code(self) -> str:
@@ -123,7 +130,10 @@ def identify(
     points, costs, stopped = _many_starts(coarse, problem, starts, seed, progress, store)
     theta = points[int(np.argmin(costs))]
     progress = _interrupt if stopped else progress
-    full_fit = refine(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), theta, problem, setup.noise, progress, store)
+    held = refine(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), theta, problem, setup.noise, progress, store)
+    full_fit = as_rows_show(held, problem, setup.noise, progress, store)
+    if full_fit.residuals.between is BetweenRows.SMOOTH:
+        points = on_smooth_command(points, full_fit, problem)
     undetermined = _undetermined(full_fit)
     fit = full_fit
     if undetermined and not was_interrupted(full_fit.search):
@@ -132,6 +142,8 @@ def identify(
     if not was_interrupted(fit.search):
         rival = rival_values(full_fit, points, costs, undetermined, progress)
         fit = _with_repetition(refine_substeps(fit, setup.noise, progress, store), rate)
+        if fit.residuals.between is BetweenRows.SMOOTH:
+            fit = with_unknown_command(fit, problem.lanes)
     drive_found, remark = _file_drive(fit)
     missing = missing_force(fit)
     innovation, expected = leading_innovation(fit)
@@ -278,6 +290,11 @@ def _file_drive(fit: RefinedFit) -> tuple[Drive, tuple[str, ...]]:
     drive, unknowns = jax.tree.map(float, fit.residuals.unpack(jnp.asarray(fit.search.theta), fit.problem))
     remarks = []
     delay = unknowns.delay
+    if fit.residuals.between is BetweenRows.SMOOTH:
+        remarks.append(
+            "the rows seem to be snapshots of a loop that is faster than the log: the command is taken as smooth "
+            "between them; the delay counts from a row's own instant"
+        )
     if delay < -MIN_DELAY:
         remarks.append(f"the command seems logged {-delay:.3g} samples late; the drive is written without a delay")
     delay = delay if delay > MIN_DELAY else 0.0

@@ -27,7 +27,7 @@ from diffdrive.model.friction import stribeck_level
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar, require_double_precision
 from diffdrive.numerics.once import once
-from tuning.identification.row_force import applied_force
+from tuning.identification.row_force import BetweenRows, advance, applied_force
 
 INITIAL_WINDOW, MIN_WINDOW_SAMPLES = (
     5e-3,
@@ -149,12 +149,18 @@ def corrected(state: plant.PlantState, gains: Sequence[Scalar], innovation: Scal
 
 
 def predict(
-    drive: Drive, delay: Scalar, gains: FilterGains, lanes: Lanes, sampling: Sampling, compliance: Scalar = 0.0
+    drive: Drive,
+    delay: Scalar,
+    gains: FilterGains,
+    lanes: Lanes,
+    sampling: Sampling,
+    compliance: Scalar = 0.0,
+    between: BetweenRows = BetweenRows.HELD,
 ) -> Prediction:
     """Predict each lane. Pure: for use under `jit`, `vmap` and `jacfwd`.
 
     `delay` (control periods) stands for the drive's own; `compliance` (m/N) is the wind-up of the screw per newton of
-    friction, which the readings of a motor encoder hold.
+    friction, which the readings of a motor encoder hold. `between` says what the command does between rows.
     """
     require_double_precision()
 
@@ -168,11 +174,12 @@ def predict(
             motor_innovation = reading - state.position - wind_up(drive, compliance, state.bristle)[0]
             state = corrected(state, motor_pull, motor_innovation)
         state = once(state)
-        ahead = plant.advance(drive, state, force, load, sampling.period, sampling.plant_steps)
+        ahead = advance(drive, state, force, load, sampling)
         return ahead, Prediction(innovation, jnp.asarray(state.velocity), motor_innovation)
 
     def predict_lane(lane: Lanes, gains: FilterGains) -> Prediction:
-        force = applied_force(drive.actuator, lane.command, delay, sampling.period) + lane.disturbance
+        force = applied_force(drive.actuator, lane.command, delay, sampling.period, between)
+        force = force._replace(mean=force.mean + lane.disturbance)
         motor = None
         if lane.motor is not None:
             assert gains.motor is not None

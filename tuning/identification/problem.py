@@ -13,6 +13,7 @@ from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, Sampling, Sensor
 from diffdrive.numerics.arrays import Scalar
 from tuning.identification.prediction import FilterGains, Lanes, Prediction, initial_velocity, predict
+from tuning.identification.row_force import BetweenRows
 from tuning.identification.symmetry import departure_from_symmetry
 from tuning.identification.unknowns import Unknowns
 from tuning.optimisation.space import Coordinate, inserted, values_at
@@ -70,12 +71,23 @@ def encoder_noise(
     """
     resolution = 0.0 if encoder.resolution is None else float(encoder.resolution)
     stated = np.hypot(resolution / np.sqrt(12), float(encoder.noise))
-    order = 3 if rate >= SLOW_LOG else 5
-    differences = np.diff(np.asarray(position), order, axis=1) * np.asarray(counts)[:, order:]
+    shown = shown_noise(position, counts, 3 if rate >= SLOW_LOG else 5)
+    return float(max(stated, shown, 1e-12))
+
+
+def shown_noise(
+    signal: Float[np.ndarray, "lanes n"] | Float[Array, "lanes n"],
+    counts: Float[np.ndarray, "lanes n"] | Float[Array, "lanes n"],
+    order: int,
+) -> float:
+    """Standard deviation of white noise in a signal where it counts.
+
+    From the scatter of its differences of that order in the median stretch of `WINDOW` samples.
+    """
+    differences = np.diff(np.asarray(signal), order, axis=1) * np.asarray(counts)[:, order:]
     windows = differences[:, : differences.shape[1] // WINDOW * WINDOW].reshape(-1, WINDOW)
     squares = np.mean(windows[np.any(windows != 0.0, axis=1)] ** 2, axis=1)
-    shown = np.sqrt(np.median(squares) / comb(2 * order, order)) if len(squares) else 0.0
-    return float(max(stated, shown, 1e-12))
+    return float(np.sqrt(np.median(squares) / comb(2 * order, order))) if len(squares) else 0.0
 
 
 class IdentificationProblem(NamedTuple):
@@ -108,6 +120,7 @@ class Innovations:
     free: tuple[Coordinate, ...]
     sampling: Sampling
     stride: int = 1
+    between: BetweenRows = BetweenRows.HELD
 
     def unpack(self, theta: Float[Array, " k"], problem: IdentificationProblem) -> tuple[Drive, Unknowns]:
         """The drive and the unknowns at theta."""
@@ -121,7 +134,7 @@ class Innovations:
         """The residuals at theta, and what the drive there predicts."""
         drive, unknowns = self.unpack(theta, problem)
         lanes, gains = problem.lanes, problem.gains
-        predicted = predict(drive, unknowns.delay, gains, lanes, self.sampling, compliance_of(unknowns))
+        predicted = predict(drive, unknowns.delay, gains, lanes, self.sampling, compliance_of(unknowns), self.between)
 
         def weighed(
             innovation: Float[Array, "lanes n"], counts: Float[Array, "lanes n"], std: Float[Array, "lanes n"]

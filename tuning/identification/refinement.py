@@ -45,6 +45,7 @@ class RefinedFit(NamedTuple):
     innovation: Float[np.ndarray, "lanes n"]  # m; zero where nothing was measured
     velocity: Float[np.ndarray, "lanes n"]  # m/s
     process_force: float = np.inf  # N
+    deviance: float = np.inf
     deviance_gain: float = 0.0  # in deviance, of that process over none
     steps: int = 0
     motor_innovation: Float[np.ndarray, "lanes n"] | None = None  # m, of the motor's encoder beside the scale
@@ -148,7 +149,7 @@ def _alternate(
     for _ in range(MAX_ROUNDS):
         process = max(best.process_force / trust, float(PROCESS_FORCES[0]))
         drive, delay, compliance = _machine(fine, theta, problem)
-        gains = filter_lanes(drive, delay, process, noise, problem.lanes, fine.sampling, compliance).gains
+        gains = filter_lanes(drive, delay, process, noise, problem.lanes, fine.sampling, compliance, fine.between).gains
         filtered = problem._replace(gains=jax.tree.map(np.asarray, gains))
         search = search_once(fine, theta, filtered, progress, min_gain, store=store)
         steps += search.steps
@@ -171,7 +172,9 @@ def _alternate(
         final = final[0], _ended(final[1], Outcome.STOPPED, f"stopped after {MAX_ROUNDS} rounds of filtering")
     assert final is not None
     fit = fit_at(fine, *final)
-    return fit._replace(process_force=best.process_force, deviance_gain=best.deviance_gain, steps=steps)
+    return fit._replace(
+        process_force=best.process_force, deviance=best.deviance, deviance_gain=best.deviance_gain, steps=steps
+    )
 
 
 def _ended(search: LeastSquaresResult, outcome: Outcome, status: str) -> LeastSquaresResult:
@@ -195,7 +198,7 @@ def _most_likely_at(
     fine: Innovations, theta: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float
 ) -> MostLikely:
     drive, delay, compliance = _machine(fine, theta, problem)
-    return most_likely(drive, delay, noise, problem.lanes, fine.sampling, compliance)
+    return most_likely(drive, delay, noise, problem.lanes, fine.sampling, compliance, fine.between)
 
 
 def search_once(

@@ -1,20 +1,79 @@
-"""The force of the motor in each row of a log, from the logged command."""
+"""The force of the motor in each row of a log, from the logged command.
+
+Where every sample of the control is logged, a row's command is held until the next row (`BetweenRows.HELD`). The rows
+of a slower trace are snapshots of a command that goes on changing between them (`BetweenRows.SMOOTH`): there it is the
+cubic through the four rows about it. Read as held, with a delay for the half row that this is late, a force of the
+frequency w would move a mass by (w T)^2 / 6 less over rows of a time T: half of that for its mean over a row, which is
+not that of the chord, and half for its change within the row. The mass would seem lighter by as much.
+"""
+
+import enum
+from math import comb
+from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from diffdrive.model import plant
 from diffdrive.model.actuator import saturate
-from diffdrive.model.current_loop import mean_forces
-from diffdrive.model.parameters import Actuator
+from diffdrive.model.current_loop import mean_forces, ramp_lag
+from diffdrive.model.parameters import Actuator, Drive, Sampling
 from diffdrive.numerics.arrays import Scalar
 
-MAX_DELAY = 8  # control periods
-MIN_DELAY = -1  # a command that is logged one sample late
+MAX_DELAY = 8  # rows
+MIN_DELAY = -1  # a command that is logged one row late
+NODES = (-1, 0, 1, 2)  # rows about a row's middle, through which the cubic goes
+POWERS = np.linalg.inv(np.vander(NODES, increasing=True))  # [power, node]: coefficients of the polynomial
+
+
+class BetweenRows(enum.Enum):
+    """What the command does from one row of a log to the next."""
+
+    HELD = "held"  # a row is a control period
+    SMOOTH = "smooth"  # rows are snapshots of a faster loop
+
+
+class RowForce(NamedTuple):
+    """The force of the motor (N) in each row: its mean, and how it changes within the row.
+
+    `course` has the coefficients of the first powers of the time since the row's middle, in rows; None where the force
+    is held.
+    """
+
+    mean: Float[Array, " n"]
+    course: Float[Array, "n 3"] | None = None
+
+
+def applied_force(
+    actuator: Actuator, command: Float[Array, " n"], delay: Scalar, period: float, between: BetweenRows
+) -> RowForce:
+    """The force of the motor in each row.
+
+    The command is limited, answered by the current loop where one is stated, and delayed by `delay` rows. That of
+    snapshots lags in the current loop as a ramp does.
+    """
+    requested = jnp.asarray(saturate(actuator, command))
+    if between is BetweenRows.HELD:
+        return RowForce(delayed(mean_forces(actuator, requested, period), delay))
+    return smooth(requested, delay + ramp_lag(actuator) / period)
+
+
+def advance(
+    drive: Drive, state: plant.PlantState, force: RowForce, load: Scalar, sampling: Sampling
+) -> plant.PlantState:
+    """The table one row later; `force` is that of the row alone."""
+    ripple = None
+    if force.course is not None:
+        time = (np.arange(sampling.plant_steps) + 0.5) / sampling.plant_steps - 0.5
+        departures = np.stack([time**power - np.mean(time**power) for power in range(1, len(NODES))])
+        ripple = jnp.einsum("k,ks->s", force.course, departures)
+    return plant.advance(drive, state, force.mean, load, sampling.period, sampling.plant_steps, ripple)
 
 
 def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
-    """The command `delay` periods later, linear between samples; before the log its first value."""
+    """The command `delay` rows later, linear between rows, as a held one acts on average; before the log its first."""
     shifted = jnp.zeros_like(command)
     # not 1 - |delay - periods|: at whole delays, where searches start, its derivative is none of this one's
     samples = lax.stop_gradient(jnp.clip(jnp.floor(delay), MIN_DELAY, MAX_DELAY - 1))
@@ -29,10 +88,18 @@ def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
     return shifted
 
 
-def applied_force(actuator: Actuator, command: Float[Array, " n"], delay: Scalar, period: float) -> Float[Array, " n"]:
-    """The force (N) of the motor in each row.
-
-    The command is limited, answered by the current loop where one is stated, and delayed.
-    """
-    requested = jnp.asarray(saturate(actuator, command))
-    return delayed(mean_forces(actuator, requested, period), delay)
+def smooth(command: Float[Array, " n"], delay: Scalar) -> RowForce:
+    """The force in each row where the command is a smooth one, `delay` rows before; beyond the log its end values."""
+    middle = 0.5 - delay  # of a row, in rows from its first instant, on the time of the command
+    whole = lax.stop_gradient(jnp.floor(middle))
+    margin = MAX_DELAY + len(NODES)
+    longer = jnp.concatenate([jnp.full(margin, command[0]), command, jnp.full(margin, command[-1])])
+    first = jnp.clip(margin + whole.astype(int) + NODES[0], 0, 2 * margin - len(NODES))
+    rows = [lax.dynamic_slice_in_dim(longer, first + k, len(command)) for k in range(len(NODES))]
+    powers = [sum(weight * row for weight, row in zip(weights, rows, strict=True)) for weights in POWERS]
+    about = [  # the same polynomial in the time since the middle
+        sum(comb(j, k) * powers[j] * (middle - whole) ** (j - k) for j in range(k, len(NODES)))
+        for k in range(len(NODES))
+    ]
+    mean = about[0] + about[2] / 12.0  # of t^2 over a row
+    return RowForce(mean, jnp.stack(about[1:], axis=-1))

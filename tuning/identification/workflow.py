@@ -96,8 +96,8 @@ class IdentificationResult(Result):
         """How far the axis is from each log, held out or not, before and after: some simulations of each log."""
         found, delay = self.fit.drive, self.estimate("delay").value
         return (
-            *gaps(self.initial_axis, found, delay, self.logs.logs, "identified from"),
-            *gaps(self.initial_axis, found, delay, self.held_out.logs, "held out"),
+            *gaps(self.initial_axis, found, delay, self.logs.logs, "identified from", self.fit.between),
+            *gaps(self.initial_axis, found, delay, self.held_out.logs, "held out", self.fit.between),
         )
 
     @cached_property

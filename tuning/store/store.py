@@ -5,6 +5,7 @@ finished, ends with the same numbers as one that was not stopped, and no piece i
 """
 
 import dataclasses
+import enum
 import hashlib
 from collections.abc import Callable
 from types import FunctionType
@@ -42,6 +43,8 @@ def _feed(update: Callable[[bytes | memoryview], object], value: object) -> None
             update(np.ascontiguousarray(array).data)
     elif value is None or isinstance(value, bool | int | float | str):
         update(f"{type(value).__name__} {value!r};".encode())
+    elif isinstance(value, enum.Enum):
+        update(f"enum {type(value).__module__}.{value};".encode())
     elif isinstance(value, type):
         update(f"type {value.__module__}.{value.__qualname__};".encode())
     elif isinstance(value, tuple | list):

@@ -28,6 +28,7 @@ from tuning.diagnosis.search import look, recalibrated
 from tuning.diagnosis.setting import setting
 from tuning.gains.checkpoint import CHECKPOINT
 from tuning.gains.objective import AGGREGATIONS
+from tuning.identification.row_force import BetweenRows
 from tuning.store import edition
 from tuning.store.folder import FolderStore
 from tuning.store.store import digest
@@ -60,6 +61,7 @@ def test_a_digest_tells_apart_whatever_differs():
     values = [
         None, 0, 0.0, False, "0", np.float64(0), np.zeros(1), np.zeros((1, 1)), np.zeros(1, np.float32), (0,), [0], (),
         0.1, np.nextafter(0.1, 1), {"a": 1}, {"b": 1}, ((1,), 2), (1, (2,)), Sampling(1e3), Sampling(2e3), Parameter,
+        *BetweenRows,
         *(Parameter("a", 0.5, 1.0, scale) for scale in (ITSELF, LOGARITHM, LOG_ODDS)), *EFFECTS.values(), DRIVE.drive,
         dataclasses.replace(DRIVE.drive, plant=dataclasses.replace(DRIVE.drive.plant, mass=1.0)),
     ]  # fmt: skip
