@@ -19,10 +19,12 @@ from experiments.reports.encoders import report_encoders
 from experiments.reports.identification.identification import report_identification
 from experiments.reports.margins import report_comparison
 from experiments.reports.report import Report
+from experiments.reports.severity import report_severity
 from experiments.reports.simulation import write_simulation
 from experiments.reports.start import report_guesses
 from experiments.reports.sweep.sweep import introduce, report_sweep
 from experiments.reports.tuning import report_pareto, report_tuning
+from tuning.accuracy.result import SeverityResult
 from tuning.comparison.result import ComparisonResult
 from tuning.diagnosis.workflow import DiagnosisResult
 from tuning.gains.pareto import ParetoFront
@@ -123,6 +125,11 @@ def _(result: ParetoFront, writer: Report) -> None:
 @section.register
 def _(result: StartResult, writer: Report) -> None:
     report_guesses(writer, result)
+
+
+@section.register
+def _(result: SeverityResult, writer: Report) -> None:
+    report_severity(writer, result)
 
 
 @section.register

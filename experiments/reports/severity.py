@@ -6,12 +6,12 @@ import numpy as np
 
 from experiments.reports import readable
 from experiments.reports.report import Report, new_figure
-from tuning.accuracy.result import SOUND, TERMS, SeverityResult
+from tuning.accuracy.result import SOUND, TERMS, SeverityResult, Without
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-AS_IT_IS = "none"
+AS_IT_IS, MENDED = "as it is", "sound"
 
 
 def report_severity(report: Report, found: SeverityResult) -> None:
@@ -22,24 +22,26 @@ def report_severity(report: Report, found: SeverityResult) -> None:
         report.say(readable.titled(line.removeprefix("- ")))
     kept = [name for name in TERMS if getattr(found.as_it_is, name) is not None]
     rows = [
-        [mended, *(factor * getattr(accuracy, name) for name in kept)]
-        for mended, accuracy in ((AS_IT_IS, found.as_it_is), *((one.effect, one.accuracy) for one in found.without))
+        [machine, *(factor * getattr(accuracy, name) for name in kept)]
+        for machine, accuracy in ((AS_IT_IS, found.as_it_is), *((_named(one), one.accuracy) for one in found.without))
     ]
     symbols = [f"{TERMS[name].rpartition(' ')[2]} {unit.replace('µ', 'u')}" for name in kept]
     notes = [", ".join(f"{TERMS[name].rpartition(' ')[2]}: {TERMS[name].rpartition(' ')[0]}" for name in kept) + "."]
-    report.table("severity", ("mended", *symbols), rows, "ISO 230-2 and 230-4, simulated", notes=notes)
-    for note in found.notes:
-        report.say(f"{readable.titled(note)}.")
+    report.table("severity", ("machine", *symbols), rows, "ISO 230-2 and 230-4, simulated", notes=notes)
     if report.out is not None:
         found.save(report.out)
         report.figure("severity", severity_figure(found))
 
 
+def _named(one: Without) -> str:
+    return MENDED if one.effect == SOUND else f"without {one.effect}"
+
+
 def severity_figure(found: SeverityResult) -> "Figure":
     """Bars of accuracy A and circular deviation G: as it is, without each effect, without any; the tolerance."""
     unit, factor = found.unit
-    machines = [("as it is", found.as_it_is)]
-    machines += [(f"without {one.effect}", one.accuracy) for one in [*found.by_gain, found.without[-1]]]
+    machines = [(AS_IT_IS, found.as_it_is)]
+    machines += [(_named(one), one.accuracy) for one in [*found.by_gain, found.without[-1]]]
     judged = list(found.as_it_is.judged())
     figure, axis = new_figure(1, 1, width=8.0, height=1.2 + 0.45 * len(machines))
     (axis,) = np.ravel(axis)
@@ -50,7 +52,7 @@ def severity_figure(found: SeverityResult) -> "Figure":
         axis.bar_label(bars, [f"{value:.3g}" for value in values], padding=3, fontsize=8)
     if found.tolerance is not None:
         axis.axvline(factor * found.tolerance, color="k", lw=1.0, ls="--", label="tolerance")
-    axis.set_yticks(places, [name if name != f"without {SOUND}" else "sound" for name, _ in machines])
+    axis.set_yticks(places, [name for name, _ in machines])
     axis.invert_yaxis()
     axis.margins(x=0.12)
     axis.set(xlabel=unit)

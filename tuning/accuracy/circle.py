@@ -1,10 +1,10 @@
-"""The circular test (ISO 230-4): an axis draws a circle with another one, and the grid encoder sees how round it is.
+"""The circular test (ISO 230-4:1996): an axis draws a circle with another, and a grid encoder sees how round it is.
 
 The other axis is a sound one of the same kind, a quarter of a turn ahead or behind, so that lags that both have make a
 smaller circle and no oval. What is left is what the axis does at its reversals and along its stroke:
 
-    G  circular deviation: the range of radii about the centre of the least-squares circle (ISO 230-4, 3.5)
-    H  circular hysteresis: the largest difference of radii between the two senses of rotation (3.6)
+    G  circular deviation: the range of radii about the centre of the least-squares circle
+    H  circular hysteresis: the largest difference of radii, at one angle, between the two senses of rotation
 """
 
 from typing import NamedTuple
@@ -55,17 +55,23 @@ def last_turn(position: Float[np.ndarray, " n"], circle: Circle) -> Float[np.nda
 def roundness(axis: Float[np.ndarray, " t"], other: Float[np.ndarray, " t"]) -> Roundness:
     """ISO 230-4 of one turn of the axis (m, about the middle) beside the same turn of the other, which is shifted."""
     quarter = len(axis) // 4
-    senses = [np.hypot(axis, np.roll(other, shift)) for shift in (quarter, -quarter)]
-    there = [np.stack([axis, np.roll(other, shift)]) for shift in (quarter, -quarter)]
-    backwards = np.roll(senses[1][::-1], 1)  # at the angles of the other sense
+    paths = [np.stack([axis, np.roll(other, shift)]) for shift in (quarter, -quarter)]
+    common = _centre(np.concatenate(paths, axis=1))
+    one, reverse = (_radii(path, common) for path in paths)
     return Roundness(
-        deviation=max(_range_about_centre(path) for path in there),
-        hysteresis=float(np.max(np.abs(senses[0] - backwards))),
+        deviation=max(float(np.ptp(np.hypot(*(path - _centre(path))))) for path in paths),
+        hysteresis=float(np.max(np.abs(one - reverse))),
     )
 
 
-def _range_about_centre(path: Float[np.ndarray, "2 t"]) -> float:
-    """Range of the radii about the centre of the least-squares circle (Kasa 1976: linear in centre and radius^2)."""
+def _centre(path: Float[np.ndarray, "2 t"]) -> Float[np.ndarray, "2 1"]:
+    """That of the least-squares circle (Kasa 1976: linear in centre and radius^2)."""
     columns = np.column_stack([2.0 * path.T, np.ones(path.shape[1])])
-    centre = np.linalg.lstsq(columns, np.sum(path**2, axis=0))[0][:2]
-    return float(np.ptp(np.hypot(*(path - centre[:, None]))))
+    return np.linalg.lstsq(columns, np.sum(path**2, axis=0))[0][:2, None]
+
+
+def _radii(path: Float[np.ndarray, "2 t"], centre: Float[np.ndarray, "2 1"]) -> Float[np.ndarray, " t"]:
+    """The radii at as many even angles: a lag puts samples of the two senses at others."""
+    x, y = path - centre
+    angles = np.linspace(0.0, 2.0 * np.pi, path.shape[1], endpoint=False)
+    return np.interp(angles, np.arctan2(y, x), np.hypot(x, y), period=2.0 * np.pi)

@@ -23,7 +23,7 @@ PER_METRE, FEWEST_TARGETS = 5, 5  # ISO 230-2, 5.3.2: at least five to a metre, 
 FEWEST_ANGLES = ((0.5 * np.pi, 3), (np.pi, 5), (np.inf, 8))  # 5.3.4: of a rotary axis that turns by so much (rad)
 RUNS = 5  # ISO 230-2, 5.3.3: approaches of each target from each side
 UNEVEN = 0.5 * (5.0**0.5 - 1.0)  # the golden ratio, whose multiples fall on no grid: targets are not evenly spaced
-DWELL, MEASURED = 0.3, 0.1  # s of rest at a target, and the last of it over which the position is averaged
+DWELL, MEASURED = 0.3, 0.1  # s of rest at a target, at least, and the last of it over which the position is averaged
 
 
 class Visits(NamedTuple):
@@ -55,23 +55,30 @@ def targets_within(low: float, high: float, is_rotary: bool = False) -> Float[np
 
 
 def positioning_motion(
-    targets: Float[np.ndarray, " m"], low: float, high: float, speed: float, acceleration: float, rate: float
+    targets: Float[np.ndarray, " m"],
+    low: float,
+    high: float,
+    speed: float,
+    acceleration: float,
+    rate: float,
+    dwell: float = DWELL,
 ) -> tuple[Motion, Visits]:
     """The standard cycle: from `low` (m) through all targets up to `high`, and downwards again, `RUNS` times.
 
-    There it overruns the outermost targets, so that each is approached from both sides. Raises `MotionError` for limits
-    that no motion can have, `ParameterError` where the axis is sampled too slowly to be measured at rest.
+    It overruns the outermost targets, so that each is approached from both sides, and rests for `dwell` (s) at each.
+    Raises `MotionError` for limits that no motion can have, `ParameterError` where the axis is sampled too slowly to be
+    measured at rest.
     """
     count = int(MEASURED * rate)
     if count < 1:
         raise ParameterError(f"{NAME}: a rate of {rate:g} Hz has no sample within {MEASURED:g} s of rest")
-    pieces: list[Piece] = dwell_pieces(NAME, DWELL)
-    elapsed, place = DWELL, low
+    pieces: list[Piece] = dwell_pieces(NAME, dwell)
+    elapsed, place = dwell, low
     begin = np.zeros((len(targets), 2, RUNS), int)
 
     def go(to: float) -> None:
         nonlocal elapsed, place
-        added = stroke_pieces(to - place, speed, acceleration) + dwell_pieces(NAME, DWELL)
+        added = stroke_pieces(to - place, speed, acceleration) + dwell_pieces(NAME, dwell)
         pieces.extend(added)
         elapsed, place = elapsed + sum(piece[0] for piece in added), to
 

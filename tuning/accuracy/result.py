@@ -7,6 +7,7 @@ from typing import ClassVar, NamedTuple
 from diffdrive.results import Result, Status
 
 SOUND = "all"  # the machine without effects
+NEGLIGIBLE, SHOWN = 0.01, 1e-9  # of A or G, whichever is larger, and m: what costs less than either is not named first
 JUDGED = ("accuracy", "circular_deviation")  # what a tolerance is for: acceptance tests limit these two
 TERMS: Mapping[str, str] = {
     "accuracy": "positioning accuracy A",
@@ -70,9 +71,9 @@ class SeverityResult(Result):
 
     @property
     def first(self) -> Without | None:
-        """What to mend first; None where no single mending gains anything."""
+        """What to mend first; None where no single mending gains a hundredth of A or G, or 1 nm."""
         best = self.by_gain[0]
-        return best if self.gain(best) > 0.0 else None
+        return best if self.gain(best) > max(SHOWN, NEGLIGIBLE * max(self.as_it_is.judged().values())) else None
 
     @property
     def beyond(self) -> tuple[str, ...]:

@@ -17,11 +17,14 @@ from diffdrive.motion.motion import Motion
 from diffdrive.results import Status
 from diffdrive.support.bounds import require_number
 from tuning.accuracy.circle import Circle, circle_between, last_turn, roundness
-from tuning.accuracy.positioning import Visits, deviations, positioning, positioning_motion, targets_within
+from tuning.accuracy.positioning import DWELL, Visits, deviations, positioning, positioning_motion, targets_within
 from tuning.accuracy.result import SOUND, Accuracy, SeverityResult, Without
 from tuning.progress import Progress, reporting
 
 STROKE_SHARE = 0.9  # of the stroke, about its middle: the test stays clear of its ends
+LONGEST = 16 * DWELL  # s of rest, after which an axis that still moves is taken as it is
+AT_REST = 1e-9  # m, or the step of the scale, if that is more: by how much less a longer rest may still move the table
+TWO_METRES, ONE_TURN = 2.0, 2.0 * np.pi  # m and rad, beyond which ISO 230-2 has another test
 
 
 class _Motions(NamedTuple):
@@ -82,8 +85,8 @@ def severity(
         )
     if tolerance is not None:
         require_number("tolerance", tolerance, "m", above=0.0)
-    test = _test_of(axis, stroke, speed, acceleration)
     effects = axis.drive.effects
+    test, notes = _test_of(axis, stroke, speed, acceleration, load)
     machines: list[tuple[str, Sequence[Effect]]] = [
         *((one.name, [one]) for one in effects),
         (SOUND, effects),
@@ -106,14 +109,17 @@ def severity(
     return SeverityResult(
         as_it_is=as_it_is, without=tuple(rows), tolerance=tolerance, is_rotary=axis.sheet.is_rotary,
         stroke=(float(test.positioning.position.min()), float(test.positioning.position.max())),
-        status=Status(True), notes=(),
+        status=Status(True), notes=notes,
     )  # fmt: skip
 
 
 def _test_of(
-    axis: Axis, stroke: tuple[float, float] | None, speed: float | None, acceleration: float | None
-) -> _Motions:
-    """The motions; raises `ParameterError` where nothing says how far and how fast."""
+    axis: Axis, stroke: tuple[float, float] | None, speed: float | None, acceleration: float | None, load: float
+) -> tuple[_Motions, tuple[str, ...]]:
+    """The motions, and notes; raises `ParameterError` where nothing says how far and how fast.
+
+    The rest at a target is doubled until the machine without effects, without noise, is found where it was.
+    """
     limits = axis.limits
     low, high = limits.stroke if stroke is None else stroke
     given = {
@@ -132,9 +138,27 @@ def _test_of(
         low, high = middle - half, middle + half
     fastest, hardest = given["speed"][0], given["acceleration"][0]
     targets = targets_within(low, high, axis.sheet.is_rotary)
-    motion, visits = positioning_motion(targets, low, high, fastest, hardest, axis.rate)
     circle = None if axis.sheet.is_rotary else circle_between(low, high, fastest, hardest, axis.rate)
-    return _Motions(motion, visits, circle)
+    notes = []
+    if high - low > (ONE_TURN if axis.sheet.is_rotary else TWO_METRES):
+        most = "a turn" if axis.sheet.is_rotary else "2 m"
+        notes.append(f"ISO 230-2 has another test for strokes beyond {most}: A, E, R and B are not those of acceptance")
+    sound, dwell, before = _mended(axis.drive, axis.drive.effects), DWELL, None
+    resolution = axis.drive.sensor.resolution
+    still = max(AT_REST, 0.0 if resolution is None else float(resolution))
+    while True:
+        motion, visits = positioning_motion(targets, low, high, fastest, hardest, axis.rate, dwell)
+        now = deviations(_table(axis, sound, motion, load, None), visits)
+        moved = np.inf if before is None else float(np.max(np.abs(now - before[1])))
+        if moved <= still and before is not None:
+            return _Motions(*before[0], circle), tuple(notes)  # the shorter rest does
+        if dwell >= LONGEST:
+            notes.append(
+                f"the table does not come to rest: it still moves by {1e6 * moved:.2g} µm from {dwell / 2:g} s of rest "
+                f"to {dwell:g} s, which is in A, E, R and B"
+            )
+            return _Motions(motion, visits, circle), tuple(notes)
+        before, dwell = ((motion, visits), now), 2.0 * dwell
 
 
 def _parts(effects: Sequence[Effect]) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ def test_it_writes_what_it_prints_and_ends_with_3_beyond_the_tolerance(axis, tmp
     told = json.loads((tmp_path / "out" / "severity.json").read_text())
     assert told["tolerance_m"] == pytest.approx(5e-6)
     rows = json.loads((tmp_path / "out" / "result.json").read_text())["tables"]["severity"]["rows"]
-    assert [row[0] for row in rows] == ["none", "lead_error", "all"]
+    assert [row[0] for row in rows] == ["as it is", "without lead_error", "sound"]
     assert rows[0][1] == pytest.approx(1e6 * told["as_it_is_m"]["accuracy"], rel=1e-6)
     assert (tmp_path / "out" / "severity.png").exists()
 

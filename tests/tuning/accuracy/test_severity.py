@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+import experiments
 import tuning
 from diffdrive.controllers import UnknownController
 from diffdrive.effects.forces import ConstantForce
@@ -57,6 +58,27 @@ def test_what_an_observer_makes_up_for_costs_nothing_at_rest():
     alone = tuning.severity(DRIVE.with_effects(ConstantForce(force=20.0)), **TEST)
     assert alone.as_it_is.accuracy < 0.01e-6
     assert alone.as_it_is.circular_deviation > 3.0 * alone.sound.circular_deviation
+
+
+def test_an_effect_of_next_to_no_cost_is_not_looked_for_first():
+    """A ten-millionth of a newton: what is gained by it is rounding."""
+    alone = tuning.severity(DRIVE.with_effects(ConstantForce(force=-1e-7)), **TEST)
+    assert alone.first is None
+    assert "No single effect costs accuracy" in alone.summary()
+
+
+@pytest.mark.long
+def test_a_loop_that_settles_slowly_is_measured_at_rest():
+    """K_v of 1 m/min/mm: after 0.3 s it is tens of micrometres off yet."""
+    slow = paper_axis("cascade", quantised=False).with_gains(kp=16.67, ki=1e7)
+    found = tuning.severity(slow.with_effects(SCALE), **TEST)
+    assert found.sound.accuracy < 0.01e-6
+    assert found.notes == ()
+
+
+def test_it_is_reported_as_any_result_is(found, tmp_path):
+    experiments.report(found, tmp_path)
+    assert {"severity.json", "severity.csv", "severity.png"} <= {one.name for one in tmp_path.iterdir()}
 
 
 def test_it_is_saved_with_every_number(found, tmp_path):
