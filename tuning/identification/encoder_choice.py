@@ -1,9 +1,9 @@
 """Whether both encoders of an axis can be fitted at once, or the scale alone.
 
 Both together know more, if one rigid machine explains both; the scale alone knows less, but is right where the motor
-moves against the table as that machine does not. So the one answer must be one that the other permits: Hausman's test
-(Specification tests in econometrics, Econometrica 46, 1978), here with the covariance of the scale's answer for that of
-the difference, of which it is the larger part. So the test asks for a little more than its level before it refuses.
+moves against the table as that machine does not. So the two estimates must agree: Hausman's test (Specification tests
+in econometrics, Econometrica 46, 1978), with the covariance of the scale's estimate for that of the difference, of
+which it is the larger part. So the test is a little conservative.
 """
 
 from collections.abc import Sequence
@@ -34,10 +34,17 @@ class Answer(Protocol):
 def permitted(both: Answer, alone: Answer) -> float:
     """How often the scale alone would be so far from the answer of both, if both were right: a p-value.
 
-    It is 1 where they have no fitted parameter in common.
+    It is 1 where they have no fitted parameter in common. The delay is none: that of both is of the motor's readings,
+    that of the scale alone of its own.
     """
-    fitted = {one.path: one.value for one in both.estimates if one.status is EstimateStatus.FITTED}
-    common = [k for k, one in enumerate(alone.estimates) if one.status is EstimateStatus.FITTED and one.path in fitted]
+    fitted = {
+        one.path: one.value for one in both.estimates if one.status is EstimateStatus.FITTED and one.name != "delay"
+    }
+    common = [
+        k
+        for k, one in enumerate(alone.estimates)
+        if one.status is EstimateStatus.FITTED and one.path in fitted and alone.estimate_covariance[k, k] > 0.0
+    ]
     if not common:
         return 1.0
     apart = np.array([alone.estimates[k].value - fitted[alone.estimates[k].path] for k in common])

@@ -39,7 +39,7 @@ from tuning.identification.refinement import (
 from tuning.identification.rivals import RivalValue, rival_values
 from tuning.identification.row_force import BetweenRows
 from tuning.identification.setup import IdentificationSetup, build_problem
-from tuning.identification.snapshots import as_rows_show, on_smooth_command, with_unknown_command
+from tuning.identification.snapshots import as_rows_show, with_unknown_command
 from tuning.identification.uncertainty import Covariance, repetition_inflation
 from tuning.identification.unknowns import MULTIMODAL, Unknowns
 from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, StepProgress, multistart, no_progress
@@ -52,6 +52,10 @@ DELAYS = 19  # that are tried before, over the range of the delay
 UNDETERMINED = 0.25  # standard error in units of belief: the value is not known to a factor of two
 MIN_DELAY = 0.01  # control periods, below which a delay is none
 INSEPARABLE = 0.95  # correlation
+TOO_NARROW = (
+    "the table runs off under the command as it was logged, noise and all: the intervals do not hold what the command "
+    "between the rows may have been"
+)
 
 
 @dataclass(frozen=True)
@@ -110,15 +114,16 @@ def identify(
     store: Store | None = None,
     progress: StepProgress = no_progress,
     start: Unknowns | None = None,
+    between: BetweenRows | None = None,
 ) -> Identification:
     """Identify `drive` from `logs` of one machine (all at one rate), starting from what it says.
 
     `fixed` names parameters (as in the drive file) that stay, `bounded` those with bounds of their own. Loads must be
     in the logs where they differ. The first search starts from inverse dynamics, or from `start`, the answer of an
-    earlier fit with the same drive. Of logs with a motor encoder beside the scale both are fitted, unless a rigid
-    machine lacks a force for that and the scale alone has another answer. Finished searches are kept in the `store`,
-    and taken from there when the identification is begun again. Raises `LogError` where a log cannot be used and
-    `ParameterError` for unknown names.
+    earlier fit with the same drive. Of logs with a motor encoder beside the scale both are fitted, unless a disturbance
+    force remains then and the scale alone gives another answer. `between` is what the command is known to do between
+    two rows; otherwise the logs show it. Finished searches are kept in the `store`, and taken from there when the
+    identification is begun again. Raises `LogError` where a log cannot be used and `ParameterError` for unknown names.
     """
     require_search(starts, seed)
     require_double_precision()
@@ -131,20 +136,24 @@ def identify(
     theta = points[int(np.argmin(costs))]
     progress = _interrupt if stopped else progress
     held = refine(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), theta, problem, setup.noise, progress, store)
-    full_fit = as_rows_show(held, problem, setup.noise, progress, store)
-    if full_fit.residuals.between is BetweenRows.SMOOTH:
-        points = on_smooth_command(points, full_fit, problem)
+    full_fit = (
+        held if between is BetweenRows.HELD else as_rows_show(held, problem, setup.noise, progress, store, between)
+    )
     undetermined = _undetermined(full_fit)
     fit = full_fit
     if undetermined and not was_interrupted(full_fit.search):
         fit = refine(*without_undetermined(full_fit, undetermined), setup.noise, progress, store)
     rival: tuple[RivalValue, ...] = ()
+    is_wide = True
     if not was_interrupted(fit.search):
         rival = rival_values(full_fit, points, costs, undetermined, progress)
         fit = _with_repetition(refine_substeps(fit, setup.noise, progress, store), rate)
-        if fit.residuals.between is BetweenRows.SMOOTH:
-            fit = with_unknown_command(fit, problem.lanes)
+        if full_fit.residuals.between is BetweenRows.SMOOTH:
+            wide = [with_unknown_command(one, problem.lanes) for one in (fit, full_fit)]
+            fit, full_fit = (one or narrow for one, narrow in zip(wide, (fit, full_fit), strict=True))
+            is_wide = None not in wide
     drive_found, remark = _file_drive(fit)
+    remark += () if is_wide else (TOO_NARROW,)
     missing = missing_force(fit)
     innovation, expected = leading_innovation(fit)
     longest = int(np.sum(fit.problem.lanes.counts, axis=1).max())  # the rest is padding
@@ -183,8 +192,11 @@ def identify(
     alone = identify(
         [log.replace(motor_position=None) for log in logs], drive,
         fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=progress, start=start,
+        between=found.between,
     )  # fmt: skip
-    if was_interrupted(alone.search) or permitted(found, alone) >= SIGNIFICANCE:
+    if was_interrupted(alone.search):
+        return replace(found, search=found.search.interrupted())
+    if permitted(found, alone) >= SIGNIFICANCE:
         return found
     note = (
         f"the scale alone is fitted, and not the motor's encoder: with both a force of {found.adequacy.missing:.2g} N "
@@ -293,9 +305,9 @@ def _file_drive(fit: RefinedFit) -> tuple[Drive, tuple[str, ...]]:
     if fit.residuals.between is BetweenRows.SMOOTH:
         remarks.append(
             "the rows seem to be snapshots of a loop that is faster than the log: the command is taken as smooth "
-            "between them; the delay counts from a row's own instant"
+            f"between them, and acts {delay + 0.5:.2g} rows after a row's own instant"
         )
-    if delay < -MIN_DELAY:
+    elif delay < -MIN_DELAY:
         remarks.append(f"the command seems logged {-delay:.3g} samples late; the drive is written without a delay")
     delay = delay if delay > MIN_DELAY else 0.0
     samples = int(delay)

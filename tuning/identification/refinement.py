@@ -119,8 +119,7 @@ def _by_chords(finest: Innovations, fit: RefinedFit, progress: StepProgress) -> 
         else:
             return None
     except KeyboardInterrupt:
-        ended = _ended(fit.search, Outcome.INTERRUPTED, f"interrupted after {fit.search.steps} steps")
-        return fit._replace(search=ended)
+        return fit._replace(search=fit.search.interrupted())
     search = dataclasses.replace(fit.search, theta=theta, cost=float(np.linalg.norm(value)))
     covariance = _sandwich_of(value, fit.slope, fit.problem, finest.sampling.rate)
     return fit._replace(residuals=finest, search=search, covariance=covariance, steps=0).with_prediction(predicted)
@@ -227,8 +226,7 @@ def search_once(
         try:
             progress(search.steps, max_steps, search.cost)
         except KeyboardInterrupt:  # as in the search itself
-            status = f"interrupted after {search.steps} steps"
-            search = dataclasses.replace(search, outcome=Outcome.INTERRUPTED, status=status)
+            search = search.interrupted()
     return search
 
 

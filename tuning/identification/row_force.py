@@ -38,12 +38,12 @@ class BetweenRows(enum.Enum):
 class RowForce(NamedTuple):
     """The force of the motor (N) in each row: its mean, and how it changes within the row.
 
-    `course` has the coefficients of the first powers of the time since the row's middle, in rows; None where the force
+    `change` has the coefficients of the first powers of the time since the row's middle, in rows; None where the force
     is held.
     """
 
     mean: Float[Array, " n"]
-    course: Float[Array, "n 3"] | None = None
+    change: Float[Array, "n 3"] | None = None
 
 
 def applied_force(
@@ -65,10 +65,10 @@ def advance(
 ) -> plant.PlantState:
     """The table one row later; `force` is that of the row alone."""
     ripple = None
-    if force.course is not None:
+    if force.change is not None:
         time = (np.arange(sampling.plant_steps) + 0.5) / sampling.plant_steps - 0.5
         departures = np.stack([time**power - np.mean(time**power) for power in range(1, len(NODES))])
-        ripple = jnp.einsum("k,ks->s", force.course, departures)
+        ripple = jnp.einsum("k,ks->s", force.change, departures)
     return plant.advance(drive, state, force.mean, load, sampling.period, sampling.plant_steps, ripple)
 
 
@@ -89,16 +89,17 @@ def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
 
 
 def smooth(command: Float[Array, " n"], delay: Scalar) -> RowForce:
-    """The force in each row where the command is a smooth one, `delay` rows before; beyond the log its end values."""
-    middle = 0.5 - delay  # of a row, in rows from its first instant, on the time of the command
-    whole = lax.stop_gradient(jnp.floor(middle))
-    margin = MAX_DELAY + len(NODES)
-    longer = jnp.concatenate([jnp.full(margin, command[0]), command, jnp.full(margin, command[-1])])
-    first = jnp.clip(margin + whole.astype(int) + NODES[0], 0, 2 * margin - len(NODES))
-    rows = [lax.dynamic_slice_in_dim(longer, first + k, len(command)) for k in range(len(NODES))]
+    """The force in each row where the command is a smooth one; beyond the log its end values.
+
+    `delay` is that of a held command of the same mean (rows), so that a command which acts at once has -1/2: half a row
+    ahead of a row's first instant is its middle.
+    """
+    whole = lax.stop_gradient(jnp.floor(-jnp.asarray(delay)))
+    at = jnp.arange(len(command)) + whole.astype(int)
+    rows = [command[jnp.clip(at + node, 0, len(command) - 1)] for node in NODES]
     powers = [sum(weight * row for weight, row in zip(weights, rows, strict=True)) for weights in POWERS]
     about = [  # the same polynomial in the time since the middle
-        sum(comb(j, k) * powers[j] * (middle - whole) ** (j - k) for j in range(k, len(NODES)))
+        sum(comb(j, k) * powers[j] * (-delay - whole) ** (j - k) for j in range(k, len(NODES)))
         for k in range(len(NODES))
     ]
     mean = about[0] + about[2] / 12.0  # of t^2 over a row

@@ -22,6 +22,7 @@ from tuning.identification.identify import identify as fit_drive
 from tuning.identification.informative import most_informative
 from tuning.identification.motor_encoder import without_doubtful_encoder
 from tuning.identification.parameters import without_side
+from tuning.identification.row_force import BetweenRows
 from tuning.identification.scale_noise import unstated_noise
 from tuning.identification.setup import held_unknowns
 from tuning.identification.shown_motion import Shortcoming
@@ -215,10 +216,12 @@ def identify_checked(
     store: Store | None,
     progress: Progress,
     start: Unknowns | None = None,
+    between: BetweenRows | None = None,
 ) -> IdentificationResult:
     """`identify` from logs that were looked over, whatever was found in them; finished searches are in the `store`.
 
-    The first search starts from `start`, the answer of an earlier fit of the same axis, if there is one.
+    The first search starts from `start`, the answer of an earlier fit of the same axis, if there is one. `between` is
+    what the command is known to do between two rows.
     """
     _require_no_effects(axis)
     seen = axis.as_logged()
@@ -229,7 +232,7 @@ def identify_checked(
     with searching(progress, "fitting friction, mass and delay") as step:
         found = fit_drive(
             fitted.logs, seen.drive, fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=step,
-            start=start,
+            start=start, between=between,
         )  # fmt: skip
     notes += [parts.note] if parts.note else []
     return _result(axis, seen, found, fitted, others, deficits, notes)

@@ -6,7 +6,7 @@ From one start, or from many in one vmapped program.
 import enum
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -49,6 +49,11 @@ class LeastSquaresResult:
     steps: int
     seconds: float
     history: list[float]
+
+    def interrupted(self) -> "LeastSquaresResult":
+        """The same point, as far as a search came that somebody stopped."""
+        status = f"interrupted after {self.steps} steps"
+        return replace(self, outcome=Outcome.INTERRUPTED, status=status)
 
 
 class LevenbergMarquardt(optx.AbstractGaussNewton[Array, Array, None]):

@@ -55,3 +55,20 @@ def test_a_parameter_that_is_a_sum_of_others_counts_once():
 
 def test_what_one_of_them_does_not_fit_is_not_compared():
     assert permitted(told([9.0, 9.0, 9.0], status=EstimateStatus.UNDETERMINED), told([0.0, 0.0, 0.0])) == 1.0
+
+
+def test_the_delay_is_that_of_another_encoder_and_no_evidence():
+    def late(value):
+        rows = [
+            ParameterEstimate(path, "1", 0.0, value, 0.0, 0.0, 0.0, 0.0, EstimateStatus.FITTED)
+            for path in ("plant.mass", "actuator.delay")
+        ]
+        return Told([rows[0]._replace(value=1.0), rows[1]], 1e-4 * np.eye(2))
+
+    assert permitted(late(0.0), late(0.05)) == pytest.approx(1.0)
+
+
+def test_an_estimate_without_an_error_says_nothing_and_is_left_out():
+    certain = np.diag([1.0, 0.0, np.nan])
+    assert permitted(told([0.0, 0.0, 0.0]), told([0.1, 5.0, 5.0], certain)) > 0.5
+    assert permitted(told([0.0, 0.0, 0.0]), told([0.1, 5.0, 5.0], np.zeros((3, 3)))) == 1.0
