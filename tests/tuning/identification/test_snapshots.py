@@ -51,15 +51,16 @@ def test_a_trace_of_every_sample_is_read_as_held(log):
 
 
 @pytest.mark.slow
-def test_a_command_that_is_logged_a_row_late_and_acts_half_a_row_late_is_held_all_the_same(log):
-    """Its delay is that of snapshots, -1/2, but its noise is the machine's."""
+def test_a_command_that_is_logged_a_row_late_and_acts_half_a_row_late_has_its_mass_all_the_same():
+    """Its delay is that of snapshots, -1/2, and it changes within a row as theirs does; its noise is the machine's."""
     late = dataclasses.replace(MACHINE, actuator=Actuator(delay_samples=1, delay_fraction=0.5))
     delayed = truth_log(late, GAINS, identification_motion(RATE), 0.0, seed=4)
     rows = delayed.replace(command=np.r_[np.zeros(2), delayed.command[:-2]])  # two rows late: 1.5 - 2
     found = identify([rows], BELIEVED, starts=2)
-    delay = next(one for one in found.estimates if one.name == "delay")
+    mass, delay = (next(one for one in found.estimates if one.name == name) for name in ("mass", "delay"))
     assert delay.value == pytest.approx(-0.5, abs=0.05)
-    assert found.between is BetweenRows.HELD
+    assert mass.value == pytest.approx(float(MACHINE.plant.mass), rel=1e-3)
+    assert mass.low <= float(MACHINE.plant.mass) <= mass.high
 
 
 # --- which reading is taken, by the deviances of the fits
