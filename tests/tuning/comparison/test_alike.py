@@ -21,7 +21,7 @@ def side(name, motor=True):
 
 @pytest.fixture
 def fits(monkeypatch):
-    """Every fit; that of `loose` leaves the motor's encoder out by itself, that of `slow` takes its rows for snapshots."""
+    """Every fit: that of `loose` leaves the motor's encoder out by itself, that of `slow` takes rows for snapshots."""
     made = []
 
     def identify_checked(axis, used, held_out, *, start=None, starts, between=None, **more):
