@@ -332,6 +332,16 @@ def leading_innovation(fit: RefinedFit) -> tuple[Float[np.ndarray, "lanes n"], F
     return np.where(leads, fit.motor_innovation, fit.innovation), std
 
 
+def normalised_innovations(fit: RefinedFit) -> Float[np.ndarray, "lanes m"]:
+    """Innovations in standard deviations, those of two encoders in turn: what the fit makes small."""
+    motor, gains = fit.motor_innovation, fit.problem.gains
+    scale = fit.innovation / np.asarray(gains.innovation_std)
+    if motor is None or gains.motor is None:
+        return scale
+    both = np.stack([scale, motor / np.asarray(gains.motor.innovation_std)], axis=-1)
+    return both.reshape(len(scale), -1)
+
+
 def coulomb_level(fit: RefinedFit) -> float:
     """Coulomb friction (N) at no load, the scale against which missing forces count."""
     unknowns = fit.residuals.unpack(jnp.asarray(fit.search.theta), fit.problem)[1]

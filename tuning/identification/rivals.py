@@ -9,7 +9,14 @@ from jaxtyping import Float
 
 from diffdrive.numerics.arrays import as_arrays
 from tuning.identification.estimates import reported_parameters, symmetric_bristle
-from tuning.identification.refinement import OFFSET, ROUGH_GAIN, TOLERANCE, RefinedFit, evaluated, leading_innovation
+from tuning.identification.refinement import (
+    OFFSET,
+    ROUGH_GAIN,
+    TOLERANCE,
+    RefinedFit,
+    evaluated,
+    normalised_innovations,
+)
 from tuning.identification.uncertainty import BLOCK
 from tuning.optimisation.least_squares import Outcome, StepProgress, levenberg_marquardt
 
@@ -50,15 +57,18 @@ def is_as_good(
 ) -> bool:
     """Whether the innovations of a rival are not larger, in blocks of a quarter of a second, than chance makes them.
 
-    A one-sided t test of the blocks' mean squares: they scatter as the residuals do, whatever their colour.
+    A one-sided t test of the blocks' mean squares: they scatter as the residuals do, whatever their colour. Were the
+    rival as good, its blocks would scatter as those found do, and the difference by no more than both together: a rival
+    that runs off in some blocks is not excused by how much they scatter.
     """
     block = max(1, round(BLOCK * rate))
-    worse = (rival**2 - found**2)[:, : rival.shape[1] // block * block]
-    blocks = worse.reshape(-1, block)
-    rise = blocks[np.any(blocks != 0.0, axis=1)].mean(axis=1)
-    if len(rise) < 2 or not np.mean(rise) > 0.0:
+    squares = np.stack([rival**2, found**2])[..., : rival.shape[1] // block * block].reshape(2, -1, block)
+    blocks = squares[:, np.any(squares != 0.0, axis=(0, 2))].mean(axis=2)
+    rise, count = blocks[0] - blocks[1], blocks.shape[1]
+    if count < 2 or not np.mean(rise) > 0.0:
         return True
-    return bool(scipy.stats.ttest_1samp(rise, 0.0, alternative="greater").pvalue >= chance)
+    scatter = min(np.std(rise, ddof=1), np.sqrt(2.0) * np.std(blocks[1], ddof=1))
+    return bool(scipy.stats.t.sf(np.mean(rise) * np.sqrt(count), count - 1, scale=max(scatter, 1e-300)) >= chance)
 
 
 def rival_values(
@@ -88,9 +98,9 @@ def rival_values(
     if search.outcome is Outcome.INTERRUPTED or not apart:
         return ()
     other = fit.with_prediction(evaluated(residuals, jnp.asarray(search.theta), arrays)[1])
-    (innovation, expected), (other_innovation, _) = leading_innovation(fit), leading_innovation(other)
-    is_finite = bool(np.isfinite(other_innovation).all())
-    if not is_finite or not is_as_good(other_innovation / expected, innovation / expected, residuals.sampling.rate):
+    found_innovation, other_innovation = normalised_innovations(fit), normalised_innovations(other)
+    rate = residuals.sampling.rate * fit.problem.lanes.encoders
+    if not np.isfinite(other_innovation).all() or not is_as_good(other_innovation, found_innovation, rate):
         return ()
     symmetric = symmetric_bristle(fit.problem)
     here, there = (

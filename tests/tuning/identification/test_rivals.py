@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from tuning.identification.doubts import doubts
+from tuning.identification.refinement import normalised_innovations
 from tuning.identification.rivals import APART, WITHIN, RivalValue, is_as_good, rival_start
 
 RATE = 1_000.0
@@ -34,6 +35,30 @@ def test_innovations_of_the_same_size_are_as_good_and_larger_ones_are_not():
     assert is_as_good(0.9 * other, found, RATE)  # better, too
     assert not is_as_good(1.1 * other, found, RATE)
     assert is_as_good(found, found, RATE)
+
+
+def test_a_rival_that_runs_off_in_a_few_blocks_is_not_as_good():
+    """Its blocks scatter so much that their mean is no evidence against it; those of the answer scatter little."""
+    rng = np.random.default_rng(3)
+    found, rival = rng.standard_normal((2, 1, 20_000))
+    rival[0, 4_000:4_400] *= 2_000.0
+    assert not is_as_good(rival, found, RATE)
+    assert is_as_good(found[:, ::-1], found, RATE)
+
+
+def test_both_encoders_are_in_what_a_rival_is_judged_by():
+    """In turn, each in its own standard deviations; one that is as good for the finer alone is none."""
+    scale, motor = np.random.default_rng(2).standard_normal((2, 3, 400))
+    noise = {"scale": 2e-7, "motor": 1e-8}
+    gains = SimpleNamespace(innovation_std=noise["scale"], motor=SimpleNamespace(innovation_std=noise["motor"]))
+    fit = SimpleNamespace(
+        innovation=noise["scale"] * scale, motor_innovation=noise["motor"] * motor, problem=SimpleNamespace(gains=gains)
+    )
+    both = normalised_innovations(fit)
+    np.testing.assert_allclose(both[:, 0::2], scale, rtol=1e-12)
+    np.testing.assert_allclose(both[:, 1::2], motor, rtol=1e-12)
+    fit.motor_innovation = None
+    np.testing.assert_allclose(normalised_innovations(fit), scale, rtol=1e-12)
 
 
 def test_in_so_many_logs_chance_is_as_it_is_said_to_be():

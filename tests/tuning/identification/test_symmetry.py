@@ -16,6 +16,7 @@ from experiments.studies.recovery.truth import truth_log
 from tuning.identification.doubts import FACTOR, determined_sums, doubts
 from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.identify import identify
+from tuning.identification.row_force import BetweenRows
 from tuning.identification.symmetry import DIRECTIONS_STD, departure_from_symmetry
 from tuning.identification.unknowns import unknowns_of
 
@@ -144,9 +145,11 @@ def test_a_hanging_axis_whose_file_states_its_constant_force_is_not_doubted():
 def test_an_answer_that_is_worse_on_held_out_logs_than_what_was_believed_is_doubted():
     lap = motion.sine(amplitude=5e-3, frequency=1.0, duration=2.0, rate=RATE)
     log = truth_log(DRIVE, PDGains(PAPER_KP / 10, PAPER_KD / 10), lap, 0.0, seed=4)
-    true = SimpleNamespace(drive=DRIVE, estimates=[SimpleNamespace(name="delay", value=0.0)], rival=())
+    true = SimpleNamespace(
+        drive=DRIVE, estimates=[SimpleNamespace(name="delay", value=0.0)], rival=(), between=BetweenRows.HELD
+    )
     heavy = dataclasses.replace(DRIVE, plant=dataclasses.replace(DRIVE.plant, mass=2.0 * DRIVE.plant.mass))
-    wrong = SimpleNamespace(drive=heavy, estimates=true.estimates, rival=())
+    wrong = SimpleNamespace(drive=heavy, estimates=true.estimates, rival=(), between=BetweenRows.HELD)
     used = [flat_log(coulomb=float(DRIVE.friction.coulomb_at(0.0).positive))]
     assert doubts(true, heavy, used, [log]) == []
     assert doubts(true, DRIVE, used, [log]) == []  # no change is no rise
