@@ -143,7 +143,7 @@ def _alternate(
     store: Store | None,
 ) -> RefinedFit:
     """Searches under the filter's gains and gains at the search's end, as long as the log becomes likelier."""
-    best, steps, trust = _most_likely_at(fine, theta, problem, noise), 0, TRUST
+    best, steps, trust = most_likely_at(fine, theta, problem, noise), 0, TRUST
     final: tuple[IdentificationProblem, LeastSquaresResult] | None = None
     for _ in range(MAX_ROUNDS):
         process = max(best.process_force / trust, float(PROCESS_FORCES[0]))
@@ -153,7 +153,7 @@ def _alternate(
         search = search_once(fine, theta, filtered, progress, min_gain, store=store)
         steps += search.steps
         has_moved = not np.array_equal(search.theta, theta)
-        new = _most_likely_at(fine, search.theta, problem, noise) if has_moved else best
+        new = most_likely_at(fine, search.theta, problem, noise) if has_moved else best
         likelier = new.deviance < best.deviance - MIN_DEVIANCE_GAIN
         if likelier:
             theta, best = search.theta, new
@@ -193,9 +193,10 @@ def _machine(
     return drive, unknowns.delay, compliance_of(unknowns)
 
 
-def _most_likely_at(
+def most_likely_at(
     fine: Innovations, theta: Float[np.ndarray, " k"], problem: IdentificationProblem, noise: float
 ) -> MostLikely:
+    """The likeliest process force at theta."""
     drive, delay, compliance = _machine(fine, theta, problem)
     return most_likely(drive, delay, noise, problem.lanes, fine.sampling, compliance, fine.between)
 

@@ -10,7 +10,7 @@ from tuning.identification.adequacy import DEVIANCE
 from tuning.identification.command_noise import without_noise
 from tuning.identification.prediction import Lanes
 from tuning.identification.problem import IdentificationProblem
-from tuning.identification.refinement import RefinedFit, evaluated, refine, was_interrupted
+from tuning.identification.refinement import RefinedFit, evaluated, most_likely_at, refine, was_interrupted
 from tuning.identification.row_force import BetweenRows
 from tuning.optimisation.least_squares import StepProgress
 from tuning.store.store import Store
@@ -36,10 +36,11 @@ def as_rows_show(
 ) -> RefinedFit:
     """The fit of a command that is held between rows, or of a smooth one where that explains the rows better.
 
-    Both have the same parameters, so that their likelihoods can be compared: with the command as it was logged, and
-    where a held command would act before it was given, also with its noise taken out, which weighs against a smooth
-    one. Where the held command leaves no force missing, nothing else is tried. `problem` is the one that the fit began
-    with; `between` is what the command is known to do.
+    Both have the same parameters, so that their likelihoods can be compared. Where a held command would act before it
+    was given, the smooth one is fitted: with the command as it was logged, and with its noise taken out, which weighs
+    against it. Elsewhere it has to be likelier at the point that the held one was fitted to. Where the held command
+    leaves no force missing, nothing else is tried. `problem` is the one that the fit began with; `between` is what the
+    command is known to do.
     """
     if was_interrupted(held.search) or (between is None and not held.deviance_gain > DEVIANCE):
         return held
@@ -57,10 +58,15 @@ def as_rows_show(
         return fit.deviance
 
     try:
-        is_smooth = between is SMOOTH or deviance(SMOOTH, is_noisy=True) < held.deviance
-        if is_smooth or _acts_early(held):
+        if between is None and _acts_early(held):
+            is_smooth = deviance(SMOOTH, is_noisy=True) < held.deviance
             smooth = deviance(SMOOTH, is_noisy=False)
             is_smooth = is_smooth or smooth < deviance(HELD, is_noisy=False)
+        else:
+            there = dataclasses.replace(held.residuals, between=SMOOTH), held.search.theta, problem, noise
+            is_smooth = between is SMOOTH or most_likely_at(*there).deviance < held.deviance
+            if is_smooth:
+                deviance(SMOOTH, is_noisy=False)
     except KeyboardInterrupt:
         return held._replace(search=held.search.interrupted(), steps=steps)
     return (fits[SMOOTH, False] if is_smooth else held)._replace(steps=steps)

@@ -1,6 +1,7 @@
 """A trace that is slower than its loop: read as snapshots, and its mass found."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -88,7 +89,11 @@ def shown(monkeypatch, deviances, acts_early=False, held=None, between=None):
         found = deviances[key]
         return found if isinstance(found, RefinedFit) else fit(found, residuals.between)
 
+    def there(residuals, *_):
+        return SimpleNamespace(deviance=deviances["there"])
+
     monkeypatch.setattr(snapshots, "refine", refined)
+    monkeypatch.setattr(snapshots, "most_likely_at", there)
     monkeypatch.setattr(snapshots, "_acts_early", lambda _: acts_early)
     return snapshots.as_rows_show(held or fit(100.0), problem, 1e-8, no_progress, None, between), tried
 
@@ -97,16 +102,21 @@ NOISE = np.random.default_rng(0)
 HELD, SMOOTH = BetweenRows
 
 
-def test_a_smooth_command_is_taken_where_it_is_likelier(monkeypatch):
-    found, _ = shown(monkeypatch, {(SMOOTH, True): 90.0, (SMOOTH, False): 95.0})
+def test_a_smooth_command_is_taken_where_it_is_likelier_than_a_held_one_at_its_own_point(monkeypatch):
+    found, _ = shown(monkeypatch, {"there": 99.0, (SMOOTH, False): 95.0})
     assert found.residuals.between is SMOOTH
-    assert (found.deviance, found.steps) == (95.0, 9)
+    assert (found.deviance, found.steps) == (95.0, 6)
 
 
 def test_a_held_command_is_kept_where_it_is_likelier(monkeypatch):
-    found, tried = shown(monkeypatch, {(SMOOTH, True): 110.0})
-    assert found.residuals.between is HELD
-    assert (found.steps, tried) == (6, [(SMOOTH, True)])
+    held = fit(100.0)
+    found, tried = shown(monkeypatch, {"there": 101.0}, held=held)
+    assert (found, tried) == (held, [])
+
+
+def test_where_a_held_command_acts_early_a_smooth_one_that_is_likelier_once_fitted_is_taken(monkeypatch):
+    deviances = {(SMOOTH, True): 99.0, (SMOOTH, False): 120.0, (HELD, False): 110.0}
+    assert shown(monkeypatch, deviances, acts_early=True)[0].residuals.between is SMOOTH
 
 
 @pytest.mark.parametrize(("without_noise", "reading"), [(80.0, HELD), (99.0, SMOOTH)])
