@@ -17,6 +17,7 @@ from tuning.diagnosis.held_out import HIDDEN, closed
 from tuning.diagnosis.intervals import deviations, parameters
 from tuning.diagnosis.ladder import Rung, known_floor
 from tuning.diagnosis.leftover import STRAINED, meant, strain
+from tuning.diagnosis.limit_words import limit_says, limits_say
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.verdict import Belief
 from tuning.identification.estimates import NORMAL
@@ -56,6 +57,8 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "ladder": [_rung(found, one) for one in found.rungs],
         "closed": _closed(found),
         "lacks": [one._asdict() for one in found.lacks],
+        "detection_limits": [one._asdict() | {"says": limit_says(one)} for one in found.limits],
+        "would_have_shown": limits_say(found.limits),
         "next_experiment": {key: value for key, value in offer._asdict().items() if key != "reference"},
     }
     return cast(dict[str, Any], plain(told))  # of a mapping, it is one

@@ -254,6 +254,7 @@ def _backlash(at: Setting) -> Candidate:
         ),
         coupled=True,
         searched=True,
+        bare=TIGHT,
         bounds=(("gap", TIGHT, np.inf), ("damping", 0.0, MUFFLED), ("motor_share", *MOTOR)),
     )
 

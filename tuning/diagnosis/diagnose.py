@@ -23,15 +23,16 @@ from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.command_left import doubted_by_command
 from tuning.diagnosis.coverage import shortcomings
+from tuning.diagnosis.detection import DetectionLimit, detection_limits
 from tuning.diagnosis.events import doubted_by_event
-from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, explain
+from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, evidence_needed, explain
 from tuning.diagnosis.exposure import in_parts
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, force_gap, force_noise, uncoupled
 from tuning.diagnosis.held_out import Closed, closed, closing, confirmed, left_in_loop, upheld
 from tuning.diagnosis.ladder import Rung, climb, known_floor
 from tuning.diagnosis.laps import Laps, laps
-from tuning.diagnosis.leftover import SLIDING, credible, furthest
+from tuning.diagnosis.leftover import LACKING, SLIDING, complete, credible, furthest
 from tuning.diagnosis.model import Logged, Member, counted_in, thinned
 from tuning.diagnosis.search import Progress, Round, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
@@ -63,6 +64,7 @@ class Diagnosis:
     split: Split
     lacks: list[Shortcoming]
     laps: Laps | None  # where a reference repeats, and the missing force can be told
+    limits: list[DetectionLimit]  # what the logs would have shown of each effect that was not found
 
     @property
     def floor(self) -> float | None:
@@ -165,8 +167,16 @@ def diagnose(
         others=_subsystems(found, verdict.unexplained),
     )
     progress("judging on held-out data", 1, 1)
+    progress("finding what these logs would have shown", 0, 1)
+    limits = [] if hopeless else detection_limits(fitter, found.best, catalogue, _needed(fitter, found))
+    progress("finding what these logs would have shown", 1, 1)
     again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.told else None
-    return Diagnosis(logged, found, verdict, [*where, *_signals(rungs)], gap, rungs, parts, lacks, again)
+    return Diagnosis(logged, found, verdict, [*where, *_signals(rungs)], gap, rungs, parts, lacks, again, limits)
+
+
+def _needed(fitter: Fitter, found: Explanation) -> float:
+    """The evidence that one more effect must bring to be looked for, and believed."""
+    return max(LACKING, evidence_needed(fitter, found.base, found.best, complete(fitter, found.best), ()))
 
 
 def _closed(rungs: list[Rung], rate: float) -> Closed | None:

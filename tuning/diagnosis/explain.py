@@ -82,8 +82,8 @@ def _without(before: Fitted, best: Fitted) -> list[Vector]:
     return [found, found + limited(step)]
 
 
-def _enough(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fits: Sequence[Fitted]) -> float:
-    """The evidence that one more effect must bring beside the `best`."""
+def evidence_needed(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fits: Sequence[Fitted]) -> float:
+    """The evidence that one more effect must bring beside the `best`, which explains all where it is `ended`."""
     if fits and relieves(fits[0], best):
         return WORTH
     if ended and not best.model.coarse:
@@ -159,7 +159,7 @@ class _Search:
     def weighed(self, base: Fitted, looked: Round) -> Round:
         """The round with the evidence that its first effect has to bring."""
         ended = self.over(base, looked.before)
-        return looked._replace(enough=_enough(self.fitter, base, looked.before, ended, looked.fits))
+        return looked._replace(enough=evidence_needed(self.fitter, base, looked.before, ended, looked.fits))
 
     def to_its_best(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
         """The end of a search with what was searched for early searched for again, with numbers that can be, and

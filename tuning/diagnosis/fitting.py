@@ -239,6 +239,14 @@ class Fitter:
         point, steps = self.sought(model, u, process, course, most, free)
         for _ in range(SETTLING):
             point = self.at(model, point.u, point.process, point.onward)
+        return self._linearised(model, point, steps)
+
+    def under(self, fitted: Fitted, process: Float[np.ndarray, " 2"]) -> Fitted:
+        """The same hypothesis with the same numbers, in a filter that may invent other forces (N)."""
+        point = self.at(fitted.model, fitted.u, process, fitted.track.course)
+        return self._linearised(fitted.model, point, fitted.steps)
+
+    def _linearised(self, model: Model, point: Point, steps: int) -> Fitted:
         linear, residual = self.slopes(point), self.residuals(point)[0]
         jacobian = self.jacobian(model, point, linear)
         hessian = jacobian.T @ jacobian + np.eye(model.size)

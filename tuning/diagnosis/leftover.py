@@ -29,6 +29,12 @@ _SLIDING = ("mass", "coulomb_screw", "load_coefficient", "viscous")
 SLIDING = tuple(name for name in NAMES if name.split(".")[0] in _SLIDING)
 
 
+def relevant_forces(fitter: Fitter, fitted: Fitted) -> Float[np.ndarray, " 2"]:
+    """Process forces (N) that are allowed to any model: lasting, and sudden ones that come to as much over as long."""
+    relevant = RELEVANT * float(coulomb(fitted.own.friction, 1.0, 0.0))
+    return relevant * np.array([1.0, np.sqrt(max(LASTING * fitter.logged.sampling.rate, 1.0))])
+
+
 def lacking(fitter: Fitter, fitted: Fitted) -> float:
     """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing.
 
@@ -36,9 +42,7 @@ def lacking(fitter: Fitter, fitted: Fitted) -> float:
     simulator's own steps make as much. The effects are stepped along the same course in both: where one remembers when
     the table stood still, that makes a difference of its own.
     """
-    relevant = RELEVANT * float(coulomb(fitted.own.friction, 1.0, 0.0))
-    sudden = relevant * np.sqrt(max(LASTING * fitter.logged.sampling.rate, 1.0))
-    least = np.minimum(fitted.process, [relevant, sudden])
+    least = np.minimum(fitted.process, relevant_forces(fitter, fitted))
     none, some = (fitter.at(fitted.model, fitted.u, one, fitted.track.course).cost for one in (least, fitted.process))
     return none - some if np.isfinite(none) and np.isfinite(some) else np.inf
 

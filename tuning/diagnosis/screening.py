@@ -75,10 +75,11 @@ def read_screened(candidate: Candidate, piece: Arrays) -> Screened:
     return Screened(candidate, float(gain), float(evidence), values, *others)
 
 
-def _directions(
-    fitted: Fitted, candidate: Candidate, point: dict[str, Vector]
-) -> tuple[np.ndarray, list[tuple[Parameter, int | None]]]:
-    """Answers to each amplitude of the candidate at a point of its grid ([lanes, n, m]), and what each is of.
+def sensitivities(
+    fitted: Fitted, candidate: Candidate, point: Values
+) -> tuple[Float[np.ndarray, "m k"], list[tuple[Parameter, int | None]]]:
+    """Derivatives of the residuals by each amplitude of the candidate at a point of its grid, and what each is of:
+    a parameter, in units of its prior, and of which log; zero where the filter was lost.
 
     What the candidate does alone, the others outside the filter being a force that acts beside the motor: to first
     order that is what it does beside them, but for what answers the motor's force beside another of the actuator's.
@@ -107,7 +108,8 @@ def _directions(
     else:
         counts, period = logged.lanes.counts, logged.sampling.period
         found = np.asarray(answered(fitted.track, fitted.linear, columns, bend, counts, period))
-    return found / np.sqrt(float(fitted.track.size)), labels
+    found = found.reshape(fitted.residual.size, -1) / np.sqrt(float(fitted.track.size))
+    return np.where(fitted.residual[:, None] != 0.0, found, 0.0), labels
 
 
 def _pushed(fitted: Fitted) -> Logged:
@@ -141,9 +143,7 @@ def _about(candidate: Candidate, found: Screened) -> list[Values]:
 def _screened(fitted: Fitted, candidate: Candidate, point: Values, left: Vector) -> Screened:
     """What the candidate would explain at a point of its grid; `left` is how far the free parameters want to move."""
     logged, values = fitted.model.logged, dict(point)
-    found, labels = _directions(fitted, candidate, values)
-    found = found.reshape(fitted.residual.size, -1)
-    d = np.where(fitted.residual[:, None] != 0.0, found, 0.0)  # not where the filter was lost
+    d, labels = sensitivities(fitted, candidate, values)
     cross = fitted.jacobian.T @ d
     making_way = solved(fitted.hessian, cross)
     schur = d.T @ d - cross.T @ making_way

@@ -73,3 +73,11 @@ def unlikelihood(twist: Twist, expected: Float[np.ndarray, "lanes n"], period: f
 
     independent = float(twist.counts.sum()) * min(1.0, period / INDEPENDENT)
     return independent * float(np.log(squares(twist.value - expected) / squares(twist.value)))
+
+
+def seen_by(twist: Twist, expected: Float[np.ndarray, "lanes n"], period: float) -> Float[np.ndarray, " m"]:
+    """What a small twist that is expected adds to the residuals: its squares are what `unlikelihood` falls by."""
+    each = np.maximum(twist.counts.sum(axis=1, keepdims=True), 1.0)
+    about = expected - np.sum(expected * twist.counts, axis=1, keepdims=True) / each
+    weight = np.sqrt(min(1.0, period / INDEPENDENT)) / twist.noise
+    return (weight * about * twist.counts).ravel()

@@ -33,7 +33,7 @@ from tuning.gains.plan import TuningPlan
 from tuning.store.folder import FolderStore
 
 PARTS = "diagnosis.parts"  # finished searches, from which the same command continues
-NOT_ALWAYS = (AUGMENTED, NEXT, "causes.csv", "causes.png", "payoff.csv")
+NOT_ALWAYS = (AUGMENTED, NEXT, "causes.csv", "causes.png", "detection_limits.csv", "payoff.csv")
 
 
 def diagnose_logs(

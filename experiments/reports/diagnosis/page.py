@@ -54,6 +54,11 @@ PICTURES = {
     "causes": "How sure each cause is.",
     "ladder": "The gap of each model on held-out data, against the noise floor; bars: 95 %.",
 }
+LIMITS = ("effect", "would have been seen")
+LIMIT = (
+    "Detection limits: an effect of this size would bring the evidence that one more effect must bring; told from: the "
+    "size from which on these logs tell it from the effect that is most like it"
+)
 BOTH = "Nominal parameters; damping moves with viscous friction"
 
 Row = list[object]
@@ -84,6 +89,9 @@ def print_answers(report: Report, details: Details) -> None:
     report.show(SHRINK, _SHOWN, _joined(_ladder(details)), notes=_odd(details["ladder"]))
     for reason in _not_simulated(details):
         report.say(f"  {reason}")
+    if details["detection_limits"]:
+        report.record("detection_limits", LIMITS, [_limit(one) for one in details["detection_limits"]])
+        report.say(f"\n{details['would_have_shown']}.")
     report.say(f"\nNext: {details['next_experiment']['says']}")
 
 
@@ -169,6 +177,7 @@ def write_page(report: Report, details: Details, augmented: str | None) -> None:
         *(f"<p>{_html(note)}</p>" for note in _odd(details["ladder"])),
         loop,
         _image(report, "ladder"),
+        _would_have_shown(details),
         f"<p>Drive with what was found, as in log 1: <code>{_html(augmented)}</code></p>" if augmented else "",
         f"<p>{_html(details['scale_noise'])}</p>" if details["scale_noise"] else "",
         _paid(details["payoff"]) if "payoff" in details else "",
@@ -180,6 +189,19 @@ def write_page(report: Report, details: Details, augmented: str | None) -> None:
 
 def _html(text: str) -> str:
     return escape(readable(text))
+
+
+def _would_have_shown(details: Details) -> str:
+    limits = details["detection_limits"]
+    if not limits:
+        return ""
+    return "<h2>What else would these logs have shown?</h2>" + _table(
+        LIMITS, [_limit(one) for one in limits], LIMIT, words=True
+    )
+
+
+def _limit(one: Details) -> Row:
+    return [one["effect"], one["says"]]
 
 
 def _found(details: Details) -> str:

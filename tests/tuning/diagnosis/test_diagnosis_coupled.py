@@ -15,7 +15,7 @@ from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.leftover import LACKING, STRAINED, complete, power_left, strain
 from tuning.diagnosis.model import Model
-from tuning.diagnosis.screening import _directions, begin, joined, screen
+from tuning.diagnosis.screening import begin, joined, screen, sensitivities
 from tuning.diagnosis.search import _bringing_back, fit_from, look, recalibrated, standing
 from tuning.diagnosis.setting import setting
 
@@ -81,9 +81,9 @@ def test_differences_of_the_filter_are_its_answers_where_it_has_some(sound, monk
     fitter, base = sound
     candidate = next(one for one in catalogue(fitter, base) if one.name == name)
     point = {key: np.array([value]) for key, value in candidate.grid[0].items()}
-    along, labels = _directions(base, candidate, point)
+    along, labels = sensitivities(base, candidate, point)
     monkeypatch.setattr(type(base.model), "coupled", True)
-    differences, _ = _directions(base, candidate, point)
+    differences, _ = sensitivities(base, candidate, point)
     for k, (parameter, _) in enumerate(labels):
         off = np.linalg.norm(differences[..., k] - along[..., k]) / np.linalg.norm(differences[..., k])
         assert off < 0.05, parameter.name

@@ -24,7 +24,7 @@ from tuning.diagnosis.explain import _further, explain
 from tuning.diagnosis.fitting import LEAST, Fitter
 from tuning.diagnosis.leftover import IMPOSSIBLE, LACKING, STRAINED, WORTH, lacking, strain
 from tuning.diagnosis.model import Model
-from tuning.diagnosis.screening import _directions, _pushed, begin, joined, screen, tried
+from tuning.diagnosis.screening import _pushed, begin, joined, screen, sensitivities, tried
 from tuning.diagnosis.search import (
     RACE,
     fit_from,
@@ -120,9 +120,9 @@ def test_what_follows_the_table_is_screened_beside_what_pushes_it(tilted, monkey
     assert not np.any(np.asarray(_pushed(base).lanes.disturbance) - np.asarray(fitter.logged.lanes.disturbance))
     dwell = next(one for one in catalogue(fitter, base) if one.name == "friction_dwell")
     point = looked_for(fit, dwell)[0]
-    beside = _directions(fit, dwell, point)[0]
+    beside = sensitivities(fit, dwell, point)[0]
     monkeypatch.setattr("tuning.diagnosis.screening._pushed", lambda fitted: fitted.model.logged)
-    alone = _directions(fit, dwell, point)[0]
+    alone = sensitivities(fit, dwell, point)[0]
     assert np.linalg.norm(beside - alone) > 0.01 * np.linalg.norm(alone)
 
 
