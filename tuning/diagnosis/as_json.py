@@ -12,6 +12,7 @@ from diffdrive.model.quantity import Directional
 from diffdrive.results import as_json as plain
 from diffdrive.support.spans import format_span
 from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.dependence_words import dependence_says, dependences_say
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.held_out import HIDDEN, closed
 from tuning.diagnosis.intervals import deviations, parameters
@@ -59,6 +60,8 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "lacks": [one._asdict() for one in found.lacks],
         "detection_limits": [one._asdict() | {"says": limit_says(one)} for one in found.limits],
         "would_have_shown": limits_say(found.limits),
+        "left": [one._asdict() | {"says": dependence_says(one)} for one in found.left],
+        "left_looks_like": dependences_say(found.left) if found.verdict.verdict == "unknown" and found.limits else "",
         "next_experiment": {key: value for key, value in offer._asdict().items() if key != "reference"},
     }
     return cast(dict[str, Any], plain(told))  # of a mapping, it is one

@@ -23,6 +23,7 @@ from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.command_left import doubted_by_command
 from tuning.diagnosis.coverage import shortcomings
+from tuning.diagnosis.dependence import Dependence, dependences
 from tuning.diagnosis.detection import DetectionLimit, detection_limits
 from tuning.diagnosis.events import doubted_by_event
 from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, evidence_needed, explain
@@ -65,6 +66,7 @@ class Diagnosis:
     lacks: list[Shortcoming]
     laps: Laps | None  # where a reference repeats, and the missing force can be told
     limits: list[DetectionLimit]  # what the logs would have shown of each effect that was not found
+    left: list[Dependence]  # what would explain what is left where the verdict is `unknown`, the likeliest first
 
     @property
     def floor(self) -> float | None:
@@ -168,10 +170,11 @@ def diagnose(
     )
     progress("judging on held-out data", 1, 1)
     progress("finding what these logs would have shown", 0, 1)
+    left = dependences(fitter, found.best, at) if verdict.verdict == "unknown" and not hopeless else []
     limits = [] if hopeless else detection_limits(fitter, found.best, catalogue, _needed(fitter, found))
     progress("finding what these logs would have shown", 1, 1)
     again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.told else None
-    return Diagnosis(logged, found, verdict, [*where, *_signals(rungs)], gap, rungs, parts, lacks, again, limits)
+    return Diagnosis(logged, found, verdict, [*where, *_signals(rungs)], gap, rungs, parts, lacks, again, limits, left)
 
 
 def _needed(fitter: Fitter, found: Explanation) -> float:

@@ -91,6 +91,7 @@ class DiagnosisResult(Result):
         details = self.details
         lines = [f"{self.verdict.upper()}: {self.says}", *headlines(details["causes"])]
         lines += [details["closed"]["says"], f"Gap: {details['gap']['says']}", f"Next: {self.next_motion.says}"]
+        lines += [details["left_looks_like"]] if details["left_looks_like"] else []
         lines += [details["would_have_shown"]] if details["would_have_shown"] and self.verdict == "none" else []
         lines += [details["scale_noise"]] if details["scale_noise"] else []
         lines += [f"{finding['log']}: {finding['found']}; {finding['mend']}" for finding in details["findings"]]

@@ -89,6 +89,8 @@ def print_answers(report: Report, details: Details) -> None:
     report.show(SHRINK, _SHOWN, _joined(_ladder(details)), notes=_odd(details["ladder"]))
     for reason in _not_simulated(details):
         report.say(f"  {reason}")
+    if details["left_looks_like"]:
+        report.say(f"\n{details['left_looks_like']}.")
     if details["detection_limits"]:
         report.record("detection_limits", LIMITS, [_limit(one) for one in details["detection_limits"]])
         report.say(f"\n{details['would_have_shown']}.")
@@ -169,6 +171,7 @@ def write_page(report: Report, details: Details, augmented: str | None) -> None:
         _table(CAUSES, [_cause(one) for one in details["causes"]], FOUND_FIRST, words=True)
         if details["causes"]
         else f"<p>{NOT_WORTH if details['searched'] else NOT_SEARCHED}</p>",
+        f"<p>{_html(details['left_looks_like'])}.</p>" if details["left_looks_like"] else "",
         _image(report, "causes"),
         _table(NOMINAL, [_recalibrated(one) for one in details["recalibrated"]], BOTH),
         "<h2>4. How far does the gap shrink once it is added?</h2>",
