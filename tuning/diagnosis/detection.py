@@ -155,7 +155,9 @@ def _of_amplitudes(
     """A limit for each amplitude, where the other numbers of the effect make it hardest to see."""
     name, own = candidate.name, table.of(candidate.name)
     logs = fitted.model.logged.logs
-    unusual = [shown(fitter, fitted, candidate, at).columns for at in unusual_values(candidate, logs)]
+    # beside an effect that is stepped within the filter each column is a filter of its own: the usual values alone
+    points = [] if fitted.model.coupled else unusual_values(candidate, logs)
+    unusual = [shown(fitter, fitted, candidate, at).columns for at in points]
     harder = [columns.T @ columns for columns in unusual]
     beside = {other: table.beside(name, other) for other in table.rivals[name]}
     for parameter, groups in _groups(usual.labels).items():
