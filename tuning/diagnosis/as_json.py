@@ -61,10 +61,19 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "detection_limits": [one._asdict() | {"says": limit_says(one)} for one in found.limits],
         "would_have_shown": limits_say(found.limits),
         "left": [one._asdict() | {"says": dependence_says(one)} for one in found.left],
-        "left_looks_like": dependences_say(found.left) if found.verdict.verdict == "unknown" and found.limits else "",
+        "left_looks_like": _looks_like(found),
         "next_experiment": {key: value for key, value in offer._asdict().items() if key != "reference"},
     }
     return cast(dict[str, Any], plain(told))  # of a mapping, it is one
+
+
+def _looks_like(found: Diagnosis) -> str:
+    """What is left looks like, where no cause is believed; of the recalibrated drive beside a coupled effect."""
+    if found.verdict.verdict != "unknown" or any(one.hopeless for one in found.lacks):
+        return ""
+    return dependences_say(
+        found.left, "What the recalibrated drive lacks" if found.found.model.coupled else "What is left"
+    )
 
 
 def _size(found: Diagnosis) -> str:

@@ -85,7 +85,12 @@ class Table(NamedTuple):
 def detection_limits(
     fitter: Fitter, fitted: Fitted, catalogue: Sequence[Candidate], needed: float
 ) -> list[DetectionLimit]:
-    """Of each effect that a fit has not; `needed` is the evidence that one more must bring."""
+    """Of each effect that a fit has not; `needed` is the evidence that one more must bring.
+
+    None of a fit whose effect is stepped within the filter: there each number would take a filter of its own.
+    """
+    if fitted.model.coupled:
+        return []
     fitted = fitter.under(fitted, np.maximum(fitted.process, relevant_forces(fitter, fitted)))
     if not np.all(np.isfinite(fitted.hessian)):
         return []
@@ -155,9 +160,7 @@ def _of_amplitudes(
     """A limit for each amplitude, where the other numbers of the effect make it hardest to see."""
     name, own = candidate.name, table.of(candidate.name)
     logs = fitted.model.logged.logs
-    # beside an effect that is stepped within the filter each column is a filter of its own: the usual values alone
-    points = [] if fitted.model.coupled else unusual_values(candidate, logs)
-    unusual = [shown(fitter, fitted, candidate, at).columns for at in points]
+    unusual = [shown(fitter, fitted, candidate, at).columns for at in unusual_values(candidate, logs)]
     harder = [columns.T @ columns for columns in unusual]
     beside = {other: table.beside(name, other) for other in table.rivals[name]}
     for parameter, groups in _groups(usual.labels).items():

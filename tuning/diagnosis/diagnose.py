@@ -170,7 +170,8 @@ def diagnose(
     )
     progress("judging on held-out data", 1, 1)
     progress("finding what these logs would have shown", 0, 1)
-    left = dependences(fitter, found.best, at) if verdict.verdict == "unknown" and not hopeless else []
+    described = found.base if found.best.model.coupled else found.best
+    left = dependences(fitter, described, at) if verdict.verdict == "unknown" and not hopeless else []
     limits = [] if hopeless else detection_limits(fitter, found.best, catalogue, _needed(fitter, found))
     progress("finding what these logs would have shown", 1, 1)
     again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.told else None
