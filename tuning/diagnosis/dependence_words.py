@@ -31,14 +31,12 @@ def dependence_says(one: Dependence) -> str:
     return f"{says} ({part})"
 
 
-def dependences_say(found: Sequence[Dependence]) -> str:
-    """One sentence: the likeliest, and the next of another kind."""
+def dependences_say(found: Sequence[Dependence], what: str = "What is left") -> str:
+    """One sentence of what is left, or of what else: the likeliest, and the next of another kind."""
     if not found:
-        return (
-            "What is left depends on nothing in particular: neither place, speed, time nor command explains any of it"
-        )
+        return f"{what} depends on nothing in particular: neither place, speed, time nor command explains any of it"
     first, *others = [dependence_says(one) for one in found[:MANY]]
-    return f"What is left looks most like {first}{'; next, like ' + others[0] if others else ''}"
+    return f"{what} looks most like {first}{'; next, like ' + others[0] if others else ''}"
 
 
 def _with_unit(value: float, unit: str) -> str:

@@ -115,7 +115,7 @@ def _is_linear(candidate: Candidate) -> bool:
 
 
 def _table(kinds: Mapping[str, Candidate], usual: Mapping[str, Shown], others: Mapping[str, Sized]) -> Table:
-    columns = {name: one.columns for name, one in (*usual.items(), *others.items())}
+    columns = {name: one.columns for name, one in usual.items()} | {name: one.columns for name, one in others.items()}
     ends = np.cumsum([one.shape[1] for one in columns.values()])
     sizes = zip(columns.items(), ends, strict=True)
     places = {name: slice(int(end) - one.shape[1], int(end)) for (name, one), end in sizes}

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.curvature import solved
@@ -91,7 +92,7 @@ def shown(fitter: Fitter, fitted: Fitted, candidate: Candidate, values: Values) 
     return Shown(_stacked(fitter, made_way(fitted, columns), beside), labels)
 
 
-def sized(fitter: Fitter, fitted: Fitted, candidate: Candidate, sizes: Sequence[float]) -> Sized:
+def sized(fitter: Fitter, fitted: Fitted, candidate: Candidate, sizes: ArrayLike) -> Sized:
     """What an effect without amplitudes does at sizes of its first parameter, all else as usual; beyond what it does
     where it is `bare`.
     """
@@ -106,7 +107,7 @@ def sized(fitter: Fitter, fitted: Fitted, candidate: Candidate, sizes: Sequence[
     there = fitter.at(fitted.model, fitted.u, fitted.process, fitted.track.course)
     there = there if candidate.bare is None else at(candidate.bare)
     columns, beside = [], []
-    for point in (at(one.value(size)) for size in sizes):
+    for point in (at(one.value(size)) for size in np.asarray(sizes, float)):
         columns.append(_change(fitter, there, point))
         if fitter.twist is not None and candidate.twists:
             beside.append(_seen(fitter, foreseen(model.effects(point.u), point.track)))
