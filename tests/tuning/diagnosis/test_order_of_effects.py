@@ -11,7 +11,7 @@ from tests.support.sound_log import DRIVE
 from tuning.diagnosis import explain, leftover, search
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidates import candidates
-from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, _enough, _further
+from tuning.diagnosis.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, _further, evidence_needed
 from tuning.diagnosis.fitting import MOST_STEPS
 from tuning.diagnosis.leading import led_on, to_its_end
 from tuning.diagnosis.leftover import IMPOSSIBLE, LEFT, SLIGHT, STRAINED, WORTH, lacking, relieves, strain, unexplained
@@ -41,7 +41,10 @@ pytestmark = pytest.mark.usefixtures("no_filter_lost")
 def test_what_one_more_effect_must_bring(monkeypatch, before, strain_then, ended, whole, enough):
     monkeypatch.setattr(explain, "complete", lambda *_: whole)
     best = fake_fit("cogging", evidence=-before, strain=strain_then)
-    assert _enough(None, fake_fit(evidence=0.0), best, ended, [fake_fit("backlash", evidence=-2.0 * before)]) == enough
+    assert (
+        evidence_needed(None, fake_fit(evidence=0.0), best, ended, [fake_fit("backlash", evidence=-2.0 * before)])
+        == enough
+    )
 
 
 def test_impossible_parameters_are_explained_by_what_brings_them_back():
@@ -107,9 +110,9 @@ def test_what_elements_take_over_is_not_brought_back_by_them(monkeypatch):
     monkeypatch.setattr(explain, "complete", lambda *_: False)
     base, dwell = fake_fit(evidence=0.0), strained("friction_dwell", evidence=-5000.0, by=4.5)
     elements = strained("friction_dwell", "presliding_hysteresis", evidence=-5020.0, by=4.5)
-    assert _enough(None, base, dwell, False, [elements]) == pytest.approx(SLIGHT * 5000.0)
+    assert evidence_needed(None, base, dwell, False, [elements]) == pytest.approx(SLIGHT * 5000.0)
     back = strained("friction_dwell", "cogging", evidence=-5020.0, by=1.0)
-    assert _enough(None, base, dwell, False, [back]) == WORTH
+    assert evidence_needed(None, base, dwell, False, [back]) == WORTH
     before, believed = strained(evidence=0.0, by=7.0), fake_fit(evidence=2000.0)
     cogging = strained("cogging", evidence=-150.0, by=6.5)
     worse = strained("presliding_hysteresis", evidence=60.0, by=7.0)
@@ -160,15 +163,15 @@ def test_the_details_of_an_effect_within_the_filter_may_bring_more(monkeypatch, 
     monkeypatch.setattr(explain, "complete", lambda *_: True)
     best = fake_fit("backlash", evidence=-1e4, coarse=True, strain=4.5)
     fits = [fake_fit("cogging", evidence=-2e4, strain=4.2)]
-    assert _enough(None, fake_fit(evidence=0.0), best, ended, fits) == SLIGHTER * 1e4
-    assert _enough(None, fake_fit(evidence=10.0 - 1e4), best, True, fits) == RELIEF
+    assert evidence_needed(None, fake_fit(evidence=0.0), best, ended, fits) == SLIGHTER * 1e4
+    assert evidence_needed(None, fake_fit(evidence=10.0 - 1e4), best, True, fits) == RELIEF
 
 
 def test_where_the_filter_was_lost_all_along_a_second_effect_must_bring_more(monkeypatch):
     monkeypatch.setattr(explain, "complete", lambda *_: False)
     monkeypatch.setattr(explain, "blind", lambda *_: True)
     base, best = fake_fit(evidence=0.0), fake_fit("cogging", evidence=-1e4)
-    assert _enough(None, base, best, False, [fake_fit("backlash", evidence=-2e4)]) == SLIGHTER * 1e4
+    assert evidence_needed(None, base, best, False, [fake_fit("backlash", evidence=-2e4)]) == SLIGHTER * 1e4
 
 
 def test_a_fit_that_leads_to_no_machine_that_can_be_is_not_gone_on_with():
