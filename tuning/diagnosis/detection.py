@@ -96,6 +96,8 @@ def detection_limits(
         return []
     members = [member.candidate for member in fitted.model.members]
     kinds = {one.name: one for one in reversed(catalogue) if not any(one.excludes(other) for other in members)}
+    if not kinds:
+        return []
     linear = {name: one for name, one in kinds.items() if _is_linear(one)}
     logs = fitted.model.logged.logs
     usual = {name: shown(fitter, fitted, one, usual_values(one, logs)) for name, one in linear.items()}

@@ -180,10 +180,10 @@ def write_page(report: Report, details: Details, augmented: str | None) -> None:
         *(f"<p>{_html(note)}</p>" for note in _odd(details["ladder"])),
         loop,
         _image(report, "ladder"),
-        _would_have_shown(details),
         f"<p>Drive with what was found, as in log 1: <code>{_html(augmented)}</code></p>" if augmented else "",
         f"<p>{_html(details['scale_noise'])}</p>" if details["scale_noise"] else "",
         _paid(details["payoff"]) if "payoff" in details else "",
+        _would_have_shown(details),
         f"<h2>What next?</h2><p>{_html(details['next_experiment']['says'])}</p>",
         "</html>",
     ]
