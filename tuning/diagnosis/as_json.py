@@ -59,21 +59,12 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "closed": _closed(found),
         "lacks": [one._asdict() for one in found.lacks],
         "detection_limits": [one._asdict() | {"says": limit_says(one)} for one in found.limits],
-        "would_have_shown": limits_say(found.limits),
-        "left": [one._asdict() | {"says": dependence_says(one)} for one in found.left],
-        "left_looks_like": _looks_like(found),
+        "logs_would_show": limits_say(found.limits),
+        "left": None if found.left is None else [one._asdict() | {"says": dependence_says(one)} for one in found.left],
+        "left_looks_like": "" if found.left is None else dependences_say(found.left, "What is left"),
         "next_experiment": {key: value for key, value in offer._asdict().items() if key != "reference"},
     }
     return cast(dict[str, Any], plain(told))  # of a mapping, it is one
-
-
-def _looks_like(found: Diagnosis) -> str:
-    """What is left looks like, where no cause is believed; of the recalibrated drive beside a coupled effect."""
-    if found.verdict.verdict != "unknown" or any(one.hopeless for one in found.lacks):
-        return ""
-    return dependences_say(
-        found.left, "What the recalibrated drive lacks" if found.found.model.coupled else "What is left"
-    )
 
 
 def _size(found: Diagnosis) -> str:

@@ -26,6 +26,7 @@ class Candidate(NamedTuple):
     bounds: tuple[tuple[str, float, float], ...] = ()  # between which an engineer would call it that
     least: float = 0.0  # of a wave's amplitude, for the same
     narrow: str = ""  # of the grid, in which what the log shows is narrower than its steps
+    weakens: bool = False  # the larger its first parameter, the less of it there is
     bare: float | None = None  # of the first parameter, with which it is not what it is called: a loose screw, no play
 
     @property

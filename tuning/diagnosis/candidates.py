@@ -238,6 +238,7 @@ def _compliance(at: Setting) -> Candidate:
         ),
         coupled=True,
         searched=True,
+        weakens=True,
         bounds=(("frequency", 0.0, SHOWN / at.period), ("damping", 0.0, MUFFLED), ("motor_share", *MOTOR)),
     )
 
@@ -269,6 +270,7 @@ def _force_limit(at: Setting) -> Candidate:
         actuator.ForceLimit,
         (_positive("limit", 0.8 * at.peak, 0.3),),
         _grid(limit=at.peak * np.r_[np.linspace(0.995, 0.96, 8), 0.94, 0.92, 0.9, 0.87, 0.8, 0.7, 0.6, 0.5]),
+        weakens=True,
         bounds=(("limit", 0.0, at.peak),),
     )
 

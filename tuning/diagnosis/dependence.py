@@ -15,17 +15,16 @@ from jaxtyping import Float
 from scipy.special import logsumexp
 
 from tuning.diagnosis.curvature import log_volume, solved
-from tuning.diagnosis.differences import by_acts
 from tuning.diagnosis.exposure import Exposure
 from tuning.diagnosis.fitting import Fitted, Fitter, answered
 from tuning.diagnosis.leftover import WORTH
+from tuning.diagnosis.reduced import reduced
 from tuning.diagnosis.setting import Setting
-from tuning.diagnosis.shown import made_way
 
 SCALES = np.geomspace(1e-4, 1.0, 9)  # of the unit of a function, the standard deviation of its corners
-PLACES, SPEEDS, TIMES, FORCES = 25, 9, 9, 13  # knots
-PROCESSES = (1.0, 0.1, 0.01)  # times the forces that the filter of the fit may invent
-PAST = (1, 2, 3, 4, 6)  # samples ago, of commands that may act late
+PLACES, SPEEDS, TIMES, FORCES = 25, 9, 9, 13  # knots: few enough to be smooth, dense enough for a chip on the guide
+PROCESSES = (1.0, 0.1, 0.01)  # times the forces that the filter of the fit may invent: it is known to a decade
+PAST = (1, 2, 3, 4, 6)  # samples ago, of commands that may act late: a delay or a lag is a sum of these
 MICROMETRE = 1e-6
 SLOW = 1e-3  # m/s: knots of speed are dense below it, where friction falls
 MOST = 0.9  # of its energy, that lies in the range in which a function is said to be large
@@ -47,7 +46,7 @@ class Dependence(NamedTuple):
     """A function that would explain what is left, and what it is worth.
 
     `rms` (N, or m of the scale) is over the samples that move; `low` and `high` are the ends of the range of what it
-    depends on in which most of it lies (SI).
+    depends on in which most of it lies (SI). Times are those of the log in which most of it lies: `log`, from 1.
     """
 
     of: str
@@ -56,17 +55,23 @@ class Dependence(NamedTuple):
     rms: float
     low: float | None
     high: float | None
+    log: int | None
 
 
-def dependences(fitter: Fitter, fitted: Fitted, at: Setting) -> list[Dependence]:
+def dependences(fitter: Fitter, fitted: Fitted, at: Setting) -> list[Dependence] | None:
     """What would explain what a fit leaves, the likeliest first; those that bring what an effect must.
 
-    With a function that explains it, the filter need not invent a force: it is tried with less, too.
+    With a function that explains it, the filter need not invent a force: it is tried with less, too. None of a fit
+    whose effect is stepped within the filter: there each corner would take a filter of its own.
     """
+    if fitted.model.coupled:
+        return None
     best: dict[tuple[str, str], Dependence] = {}
     for share in PROCESSES:
         under = fitter.under(fitted, np.maximum(share * fitted.process, fitter.least))
-        dearer = under.cost - fitted.cost
+        slope = under.jacobian.T @ under.residual + under.u
+        moved = float(slope @ solved(under.hessian, slope))  # what is free gains by itself in this filter
+        dearer = under.evidence - moved - fitted.evidence
         if not np.isfinite(dearer):
             continue
         for family, abscissa in _families(under, at):
@@ -127,29 +132,22 @@ def _answers(fitted: Fitted, family: Family) -> Float[np.ndarray, "m c"]:
     logged, acts = fitted.model.logged, jnp.asarray(family.unit * family.basis)
     still = jnp.zeros_like(acts)
     bend = Exposure(*(still for _ in range(7)))._replace(**{FIELDS[family.kind]: acts})
-    columns = np.zeros((fitted.linear.machine.shape[-1], acts.shape[-1]))
-    if fitted.model.coupled:
-        at = (fitted.model, fitted.u, fitted.process, fitted.track, fitted.drive, fitted.acting)
-        found = by_acts(*at, columns, bend)
-    else:
-        given = (jnp.asarray(columns), bend, logged.lanes.counts, logged.sampling.period)
-        found = np.asarray(answered(fitted.track, fitted.linear, *given))
+    columns = jnp.zeros((fitted.linear.machine.shape[-1], acts.shape[-1]))
+    found = np.asarray(
+        answered(fitted.track, fitted.linear, columns, bend, logged.lanes.counts, logged.sampling.period)
+    )
     found = found.reshape(fitted.residual.size, -1) / np.sqrt(float(fitted.track.size))
     return np.where(fitted.residual[:, None] != 0.0, found, 0.0)
 
 
 def _judged(fitted: Fitted, family: Family, abscissa: Signal) -> Dependence:
-    answers = _answers(fitted, family)
-    columns = made_way(fitted, answers)
-    wanted = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)  # how far what is free would move
-    curvature = columns.T @ columns
-    slope = answers.T @ fitted.residual - (fitted.jacobian.T @ answers).T @ wanted
+    curvature, slope, _, _ = reduced(fitted, _answers(fitted, family))
     evidences, corners = zip(*(_at_scale(curvature, slope, scale) for scale in SCALES), strict=True)
     weights = 0.5 * np.array(evidences)
     evidence = 2.0 * float(logsumexp(weights) - np.log(len(SCALES)))
     shares = np.exp(weights - logsumexp(weights))
     course = family.basis @ (family.unit * np.einsum("s,sc->c", shares, np.array(corners)))
-    return Dependence(family.of, family.kind, evidence, *_size(fitted, course, abscissa))
+    return Dependence(family.of, family.kind, evidence, *_size(fitted, course, abscissa, family.of == "time"))
 
 
 def _at_scale(
@@ -161,19 +159,23 @@ def _at_scale(
     return float(-slope @ corners) - log_volume(bent), corners
 
 
-def _size(fitted: Fitted, course: Signal, abscissa: Signal) -> tuple[float, float | None, float | None]:
-    """RMS of a course while the table moves, and the range in which most of its energy lies."""
+def _size(
+    fitted: Fitted, course: Signal, abscissa: Signal, log_by_log: bool
+) -> tuple[float, float | None, float | None, int | None]:
+    """RMS of a course while the table moves, the range in which most of its energy lies, and the log, if of one."""
     counts = np.asarray(fitted.model.logged.lanes.counts) > 0.0
     moving = counts & (np.abs(np.asarray(fitted.track.course.velocity)) > SLOW)
-    if not moving.any():
-        return 0.0, None, None
-    energy, where = course[moving] ** 2, abscissa[moving]
-    total = float(energy.sum())
-    if total == 0.0:
-        return 0.0, None, None
-    order = np.argsort(where)
-    low, high = _shortest(where[order], energy[order], MOST * total)
-    return float(np.sqrt(energy.mean())), low, high
+    energy = np.where(moving, course**2, 0.0)
+    if not energy.any():
+        return 0.0, None, None, None
+    rms, log = float(np.sqrt(energy.sum() / moving.sum())), None
+    if log_by_log:
+        owner = np.asarray(fitted.model.logged.owner)
+        most = int(np.argmax([energy[owner == one].sum() for one in range(fitted.model.logged.logs)]))
+        moving, log = moving & (owner == most)[:, None], most + 1
+    order = np.argsort(abscissa[moving])
+    where, shares = abscissa[moving][order], energy[moving][order]
+    return rms, *_shortest(where, shares, MOST * float(shares.sum())), log
 
 
 def _shortest(where: Float[np.ndarray, " k"], energy: Float[np.ndarray, " k"], enough: float) -> tuple[float, float]:

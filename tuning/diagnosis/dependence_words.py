@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 from diffdrive.support.spans import rescaled
 from tuning.diagnosis.dependence import Dependence
+from tuning.diagnosis.leftover import WORTH
 
 DIGITS = 2
-MANY = 2  # that are told
 NAMES = {
     ("position", "force"): ("a force that depends on position", "motor, screw or guide"),
     ("position", "friction"): ("a friction that depends on position", "guide, screw or cover"),
@@ -28,15 +28,16 @@ def dependence_says(one: Dependence) -> str:
     if one.low is not None and one.high is not None and one.of != "past commands":
         [(low, _, _), (high, _, _)], unit = rescaled([(one.low, None, None), (one.high, None, None)], UNITS[one.of])
         says += f", most of it between {_rounded(low, 3)} and {_rounded(high, 3)} {unit}"
+        says += f" of log {one.log}" if one.log else ""
     return f"{says} ({part})"
 
 
-def dependences_say(found: Sequence[Dependence], what: str = "What is left") -> str:
-    """One sentence of what is left, or of what else: the likeliest, and the next of another kind."""
+def dependences_say(found: Sequence[Dependence], what: str) -> str:
+    """One sentence: the likeliest, and those that are as likely."""
     if not found:
         return f"{what} depends on nothing in particular: neither place, speed, time nor command explains any of it"
-    first, *others = [dependence_says(one) for one in found[:MANY]]
-    return f"{what} looks most like {first}{'; next, like ' + others[0] if others else ''}"
+    alike = [one for one in found if one.evidence > found[0].evidence - WORTH]
+    return f"{what} looks most like {', or '.join(map(dependence_says, alike))}"
 
 
 def _with_unit(value: float, unit: str) -> str:

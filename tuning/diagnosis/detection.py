@@ -1,57 +1,56 @@
-"""How small an effect the logs would have shown, and from what size on they tell it from the others.
+"""How small an effect the logs would show.
 
-To first order, an effect of size a moves the residuals by a s. What is free makes way, and leaves s' of its sensitivity
-s. With the effect, -2 log likelihood is then less by a^2 s's' than without; its parameters cost the logarithm of the
-volume that the logs leave of their prior. It is found where the difference is the evidence that an effect must bring:
+To first order, an effect of size a moves the residuals by a s. What is free makes way, and leaves the curvature S of
+its sensitivity s (`reduced`). Where the machine has the effect, -2 log likelihood then falls by a^2 S^2 / (1 + S) with
+it: its own prior takes the share 1 / (1 + S) of a^2 S. Its parameters cost the logarithm of the volume that the logs
+leave of their prior. The limit is the size at which the difference is the evidence that an effect must bring. So
+nothing is simulated and nothing fitted.
 
-    a^2 s's' = evidence needed + log volume
-
-With another effect free to make way as well, the same equation gives the size from which on the two are told apart. So
-nothing is simulated and nothing fitted. Where the effect is not linear in its size, the filter runs with it at several
-sizes, and what changes is in the place of a s.
+Where the effect is not linear in its size, the filter runs with it at several sizes, and the change of the residuals is
+in the place of a s.
 
 No model is right to the last digit: the filter allows it the force that counts as nothing missing (`relevant_forces`).
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.catalogue import EFFECTS
 from tuning.diagnosis.candidate import WAVE, Candidate
 from tuning.diagnosis.curvature import log_volume, solved
-from tuning.diagnosis.fitting import Fitted, Fitter
+from tuning.diagnosis.fitting import Fitted, Fitter, Point
+from tuning.diagnosis.following import LOST
 from tuning.diagnosis.leftover import relevant_forces
-from tuning.diagnosis.screening import DEARNESS
-from tuning.diagnosis.shown import (
-    Labels,
-    Shown,
-    Sized,
-    possible_sizes,
-    shown,
-    sized,
-    unusual_values,
-    usual_values,
-)
+from tuning.diagnosis.model import Vector, effect_in_lanes
+from tuning.diagnosis.priors import ITSELF, Parameter
+from tuning.diagnosis.reduced import reduced
+from tuning.diagnosis.screening import DEARNESS, Values, begin, joined, sensitivities
+from tuning.diagnosis.second_encoder import foreseen, seen_by
 
+EITHER = (-1.0, 1.0)  # deviations of its prior, to which each parameter is moved from its usual value
+UNEXPECTED = 4.0  # deviations of its prior: a larger amplitude is none that anyone would expect
+SIZES = np.linspace(-8.0, 4.0, 7)  # deviations of the prior, at which an effect that is not linear in its size is tried
+DECADES = np.geomspace(1e-4, 4.0, 5)  # the same of a size that is normal about zero
+INSIDE = 1e-3  # of a bound, by which a size is inside it
 HALVINGS = 4  # of the distance between the sizes about a limit
 AMPLITUDE = "amplitude"  # of a wave
 
 Group = Sequence[int]  # columns of one size in one log: one, or cosine and sine
 Products = Float[np.ndarray, "k k"]
+Labels = Sequence[tuple[Parameter, int | None]]  # of columns: a parameter, and of which log; None: of all
 
 
 class DetectionLimit(NamedTuple):
-    """What the logs would have shown of an effect.
+    """What the logs would show of an effect.
 
-    From `size` on (SI, `unit`) it is seen; up to it, where the effect is the weaker the larger this parameter is
-    (`weakens`); None: at no size that would be expected. `rival` is the effect that does most nearly the same, and
-    `apart` the larger size from which on it is told from that one; None: at no such size. Without a rival, all that see
-    it tell it apart.
+    From `size` on (SI, `unit`) it brings the evidence that an effect must bring; up to it, where the effect is the
+    weaker the larger this parameter is (`weakens`); None: at no size that would be expected.
     """
 
     effect: str
@@ -59,27 +58,6 @@ class DetectionLimit(NamedTuple):
     unit: str
     size: float | None
     weakens: bool
-    rival: str | None
-    apart: float | None
-
-
-class Table(NamedTuple):
-    """Products of what each effect does to the residuals, with those of every other."""
-
-    products: Products
-    places: Mapping[str, slice]  # of each effect's columns
-    costs: Mapping[str, float]  # of each: what its parameters cost in evidence
-    rivals: Mapping[str, Sequence[str]]  # of each: the others, but for those that are its bare self
-
-    def of(self, name: str) -> Products:
-        """Those of one effect."""
-        return self.products[self.places[name], self.places[name]]
-
-    def beside(self, name: str, rival: str) -> Products:
-        """The same when a rival, whose numbers have a prior of one, makes way for it too."""
-        own, other = self.places[name], self.places[rival]
-        cross = self.products[other, own]
-        return self.products[own, own] - cross.T @ solved(self.of(rival) + np.eye(len(cross)), cross)
 
 
 def detection_limits(
@@ -95,56 +73,98 @@ def detection_limits(
     if not np.all(np.isfinite(fitted.hessian)):
         return []
     members = [member.candidate for member in fitted.model.members]
-    kinds = {one.name: one for one in reversed(catalogue) if not any(one.excludes(other) for other in members)}
-    if not kinds:
-        return []
-    linear = {name: one for name, one in kinds.items() if _is_linear(one)}
+    kinds = {one.kind: one for one in reversed(catalogue) if not any(one.excludes(other) for other in members)}
+    limits: dict[tuple[str, str], DetectionLimit] = {}
+    for candidate in reversed(kinds.values()):
+        for one in _limits_of(fitter, fitted, candidate, needed):
+            limits.setdefault((one.effect, one.parameter), one)
+    return list(limits.values())
+
+
+def _limits_of(fitter: Fitter, fitted: Fitted, candidate: Candidate, needed: float) -> Iterator[DetectionLimit]:
+    if any(one.amplitude for one in candidate.parameters):
+        yield from _of_amplitudes(fitter, fitted, candidate, needed)
+    elif candidate.parameters:
+        yield _of_sizes(fitter, fitted, candidate, needed)
+
+
+def _of_amplitudes(fitter: Fitter, fitted: Fitted, candidate: Candidate, needed: float) -> Iterator[DetectionLimit]:
+    """A limit for each amplitude, where the other numbers of the effect make it hardest to see."""
     logs = fitted.model.logged.logs
-    usual = {name: shown(fitter, fitted, one, usual_values(one, logs)) for name, one in linear.items()}
-    others = {name: _searched(fitter, fitted, one, needed) for name, one in kinds.items() if name not in linear}
-    table = _table(kinds, usual, others)
-    limits: list[DetectionLimit] = []
-    for name in kinds:
-        if name in usual:
-            limits += _of_amplitudes(fitter, fitted, kinds[name], usual[name], table, needed)
-        else:
-            limits.append(_of_sizes(fitter, kinds[name], others[name], table, needed))
-    return limits
+    points = [usual_values(candidate, logs), *unusual_values(candidate, logs)]
+    told = [_curvature(fitter, fitted, candidate, values) for values in points]
+    known = {one.name: one for one in candidate.parameters}
+    for parameter, groups in amplitude_groups(told[0][1]).items():
+        sizes = [_deviations(_told_by(one, groups), needed + log_volume(one + np.eye(len(one)))) for one, _ in told]
+        spread, worst = known[parameter].spread, max(sizes)
+        if not _alone(fitted, candidate, points[0], parameter, UNEXPECTED * spread):
+            continue
+        size = max(spread * worst, candidate.least if parameter == WAVE[0] else 0.0)
+        yield _limit(fitter, candidate, parameter, size if worst <= UNEXPECTED else None)
 
 
-def _is_linear(candidate: Candidate) -> bool:
-    return any(one.amplitude for one in candidate.parameters)
+def _curvature(fitter: Fitter, fitted: Fitted, candidate: Candidate, values: Values) -> tuple[Products, Labels]:
+    """Of the cost by the amplitudes of a candidate, in units of their priors, at values of its other numbers."""
+    columns, labels = sensitivities(fitted, candidate, values)
+    curvature = reduced(fitted, columns).curvature
+    if fitter.twist is None or not candidate.twists:
+        return curvature, labels
+    logged, seen = fitted.model.logged, []
+    there = foreseen(fitted.model.effects(fitted.u), fitted.track)
+    for one, log in labels:
+        here = np.array([one.spread if log in (None, k) else 0.0 for k in range(logged.logs)])
+        effect = effect_in_lanes(candidate.effect, values | {one.name: here}, logged.owner)
+        seen.append(seen_by(fitter.twist, foreseen((effect,), fitted.track), there, logged.sampling.period))
+    beside = np.stack(seen, axis=1)
+    return curvature + beside.T @ beside, labels
 
 
-def _table(kinds: Mapping[str, Candidate], usual: Mapping[str, Shown], others: Mapping[str, Sized]) -> Table:
-    columns = {name: one.columns for name, one in usual.items()} | {name: one.columns for name, one in others.items()}
-    ends = np.cumsum([one.shape[1] for one in columns.values()])
-    sizes = zip(columns.items(), ends, strict=True)
-    places = {name: slice(int(end) - one.shape[1], int(end)) for (name, one), end in sizes}
-    every = np.concatenate(list(columns.values()), axis=1)
-    products = every.T @ every
-    costs = {
-        name: _volume(products[place, place]) if name in usual else _price(kinds[name])
-        for name, place in places.items()
-    }
-    rivals = {name: [other for other in kinds if not one.excludes(kinds[other])] for name, one in kinds.items()}
-    return Table(products, places, costs, rivals)
+def usual_values(candidate: Candidate, logs: int) -> Values:
+    """What is no amplitude at the middle of its prior; what has no prior, as the grid has it."""
+    middle = {one.name: one.middle for one in candidate.parameters if not one.amplitude}
+    return {name: np.full(logs, value) for name, value in (candidate.grid[0] | middle).items()}
 
 
-def _groups(labels: Labels) -> dict[str, list[Group]]:
+def unusual_values(candidate: Candidate, logs: int) -> list[Values]:
+    """The usual values with each of them moved by a deviation of its prior, within its bounds; times stay."""
+    usual, points = usual_values(candidate, logs), []
+    for one in candidate.parameters:
+        if not (one.amplitude or one.session):
+            moved = (usual | {one.name: np.full(logs, one.value(by))} for by in EITHER)
+            points += [values for values in moved if _within(candidate, one.name, float(values[one.name][0]))]
+    return points
+
+
+def _within(candidate: Candidate, name: str, value: float) -> bool:
+    return all(low < value < high for bound, low, high in candidate.bounds if bound == name)
+
+
+def _alone(fitted: Fitted, candidate: Candidate, usual: Values, parameter: str, size: float) -> bool:
+    """Whether a candidate may be this amplitude alone, however large: a lead error is a wave, whatever else it is."""
+    logs = fitted.model.logged.logs
+    none = {one.name: np.zeros(logs) for one in candidate.parameters if one.amplitude}
+    return candidate.plausible(usual | none | {parameter: np.full(logs, size)}, fitted.model.logged.lasts)
+
+
+def amplitude_groups(labels: Labels) -> dict[str, list[Group]]:
     """The columns of each size by its parameter, log by log: cosine and sine are one; of waves the first harmonic."""
     groups: dict[str, dict[int | None, list[int]]] = {}
     for column, (parameter, log) in enumerate(labels):
-        if parameter.name.startswith(WAVE[:2]) and parameter.name not in WAVE[:2]:
+        if parameter.name[-1].isdigit() and parameter.name[:-1] in WAVE:
             continue
-        name = WAVE[0] if parameter.name in WAVE[:2] else parameter.name
+        name = WAVE[0] if parameter.name in WAVE else parameter.name
         groups.setdefault(name, {}).setdefault(log, []).append(column)
     return {name: list(each.values()) for name, each in groups.items()}
 
 
-def _told_by(products: Products, groups: Sequence[Group]) -> float:
-    """Evidence of one deviation of the prior, in every log alike, at the phase that shows least of it."""
-    return float(sum(np.linalg.eigvalsh(products[np.ix_(group, group)])[0] for group in groups))
+def _told_by(curvature: Products, groups: Sequence[Group]) -> float:
+    """Evidence of one deviation of the prior in every log alike; of a wave, at the phases that show least of it."""
+    told = curvature @ solved(curvature + np.eye(len(curvature)), curvature)
+    every = [column for group in groups for column in group]
+    told = told[np.ix_(every, every)]
+    if len(every) == len(groups):
+        return float(told.sum())
+    return len(groups) * float(np.linalg.eigvalsh(told)[0])
 
 
 def _deviations(evidence: float, needed: float) -> float:
@@ -152,86 +172,84 @@ def _deviations(evidence: float, needed: float) -> float:
     return float(np.sqrt(max(needed, 0.0) / evidence)) if evidence > 0.0 else np.inf
 
 
-def _volume(products: Products) -> float:
-    return log_volume(products + np.eye(len(products)))
+def _of_sizes(fitter: Fitter, fitted: Fitted, candidate: Candidate, needed: float) -> DetectionLimit:
+    """The limit of an effect that is not linear in its size, all else as usual, by sizes that close in on it."""
+    one, needed = candidate.parameters[0], needed + DEARNESS * len(candidate.parameters)
+    sizes = possible_sizes(candidate)
+    sizes = sizes[::-1] if candidate.weakens else sizes  # from the weakest to the strongest
+    gains = gains_at(fitter, fitted, candidate, sizes)
+    seen = seen_from(gains, needed)
+    size = None if seen == len(sizes) else float(sizes[seen])
+    if size is not None and seen > 0:
+        weak = float(sizes[seen - 1])
+        for _ in range(HALVINGS):
+            middle = 0.5 * (weak + size)
+            if gains_at(fitter, fitted, candidate, [middle])[0] >= needed:
+                size = middle
+            else:
+                weak = middle
+    return _limit(fitter, candidate, one.name, None if size is None else one.value(size))
 
 
-def _of_amplitudes(
-    fitter: Fitter, fitted: Fitted, candidate: Candidate, usual: Shown, table: Table, needed: float
-) -> Iterator[DetectionLimit]:
-    """A limit for each amplitude, where the other numbers of the effect make it hardest to see."""
-    name, own = candidate.name, table.of(candidate.name)
-    logs = fitted.model.logged.logs
-    unusual = [shown(fitter, fitted, candidate, at).columns for at in unusual_values(candidate, logs)]
-    harder = [columns.T @ columns for columns in unusual]
-    beside = {other: table.beside(name, other) for other in table.rivals[name]}
-    for parameter, groups in _groups(usual.labels).items():
-        size, *others = (_deviations(_told_by(one, groups), needed + _volume(one)) for one in (own, *harder))
-        worst = max([size, *others])
-        told = {
-            other: _deviations(_told_by(left, groups), needed + table.costs[name] - table.costs[other])
-            for other, left in beside.items()
-        }
-        rival = max(told, key=lambda one: told[one], default=None)
-        apart = worst if rival is None else worst * max(1.0, told[rival] / size)
-        spread = next(one.spread for one in candidate.parameters if one.name == parameter)
-        least = candidate.least if parameter == WAVE[0] else 0.0
-        size, apart = (max(spread * one, least) for one in (worst, apart))
-        yield _limit(fitter, candidate, parameter, size, False, rival, apart)
+def possible_sizes(candidate: Candidate) -> Vector:
+    """Sizes of the first parameter at which a candidate without amplitudes is tried, in deviations of its prior: evenly
+    over what is expected, and just inside of its bounds.
+    """
+    one = candidate.parameters[0]
+    sizes = DECADES if one.scale is ITSELF else SIZES
+    ends = [
+        one.standard(end)
+        for name, low, high in candidate.bounds
+        if name == one.name
+        for end in (low * (1.0 + INSIDE), high * (1.0 - INSIDE))
+        if 0.0 < end < np.inf
+    ]
+    every = np.unique([*sizes, *(end for end in ends if sizes[0] < end < sizes[-1])])
+    return np.array([size for size in every if _within(candidate, one.name, one.value(size))])
 
 
-def _searched(fitter: Fitter, fitted: Fitted, candidate: Candidate, needed: float) -> Sized:
-    """An effect at sizes that close in on the one that brings what is needed, from the weakest to the strongest."""
-    found = sized(fitter, fitted, candidate, possible_sizes(candidate))
-    for _ in range(HALVINGS):
-        found = _by_strength(found)
-        seen = _seen_from(found.gains - _price(candidate), needed)
-        if seen in (0, len(found.sizes)):
-            break
-        more = sized(fitter, fitted, candidate, [0.5 * (found.sizes[seen - 1] + found.sizes[seen])])
-        found = Sized(np.concatenate([found.columns, more.columns], axis=1), np.r_[found.sizes, more.sizes])
-    return _by_strength(found)
+def gains_at(fitter: Fitter, fitted: Fitted, candidate: Candidate, sizes: ArrayLike) -> Vector:
+    """What -2 log likelihood falls by with an effect without amplitudes in the log of a machine that has it, at sizes of
+    its first parameter (in deviations of its prior); beyond what it does where it is `bare`.
+    """
+    one, logs = candidate.parameters[0], fitted.model.logged.logs
+    usual, model = usual_values(candidate, logs), joined(fitted.model, candidate)
+
+    def at(value: float) -> tuple[Point, Float[np.ndarray, "lanes n"]]:
+        u = np.r_[fitted.u, begin(model, usual | {one.name: np.full(logs, value)})]
+        point = fitter.at(model, u, fitted.process, fitted.track.course)
+        return point, foreseen(model.effects(u), point.track)
+
+    there = fitter.at(fitted.model, fitted.u, fitted.process, fitted.track.course)
+    before = (
+        (there, foreseen(fitted.model.effects(fitted.u), there.track)) if candidate.bare is None else at(candidate.bare)
+    )
+    gains = []
+    for point, twist in (at(one.value(size)) for size in np.asarray(sizes, float)):
+        gain = float(reduced(fitted, _change(fitter, before[0], point)[:, None]).curvature[0, 0])
+        if fitter.twist is not None and candidate.twists:
+            seen = seen_by(fitter.twist, twist - before[1], before[1], fitter.logged.sampling.period)
+            gain += float(seen @ seen)
+        gains.append(gain)
+    return np.array(gains)
 
 
-def _by_strength(found: Sized) -> Sized:
-    order = np.argsort(found.sizes)
-    if found.gains[order[0]] > found.gains[order[-1]]:
-        order = order[::-1]
-    return Sized(found.columns[:, order], found.sizes[order])
+def _change(fitter: Fitter, before: Point, after: Point) -> Vector:
+    """Of the residuals; where a filter is lost that was not, by as much as a lost filter counts."""
+    (old, kept), (new, still) = fitter.residuals(before), fitter.residuals(after)
+    return np.where(kept > 0.0, np.where(still > 0.0, new - old, LOST * kept), 0.0)
 
 
-def _price(candidate: Candidate) -> float:
-    """What the numbers of an effect without amplitudes cost."""
-    return DEARNESS * len(candidate.parameters)
-
-
-def _seen_from(evidence: Float[np.ndarray, " k"], needed: float) -> int:
+def seen_from(gains: Float[np.ndarray, " k"], needed: float) -> int:
     """The first of several sizes, from the weakest to the strongest, from which on all bring what is needed."""
-    weak = np.flatnonzero(~(evidence >= needed))
+    weak = np.flatnonzero(~(gains >= needed))
     return int(weak[-1]) + 1 if weak.size else 0
 
 
-def _of_sizes(fitter: Fitter, candidate: Candidate, found: Sized, table: Table, needed: float) -> DetectionLimit:
-    """The limit of an effect that is not linear in its size."""
-    name, one, price = candidate.name, candidate.parameters[0], table.costs[candidate.name]
-    values = [*(one.value(size) for size in found.sizes), np.inf]
-    seen = _seen_from(found.gains - price, needed)
-    told = {
-        other: _seen_from(np.diag(table.beside(name, other)) - price + table.costs[other], needed)
-        for other in table.rivals[name]
-    }
-    rival = max(told, key=lambda one: told[one], default=None)
-    apart = seen if rival is None else max(seen, told[rival])
-    return _limit(fitter, candidate, one.name, values[seen], values[0] > values[-2], rival, values[apart])
-
-
-def _limit(
-    fitter: Fitter, candidate: Candidate, parameter: str, size: float, weakens: bool, rival: str | None, apart: float
-) -> DetectionLimit:
+def _limit(fitter: Fitter, candidate: Candidate, parameter: str, size: float | None) -> DetectionLimit:
     """In the units of the catalogue; delays in periods of the controller."""
     fields = {one.name: one.metadata["quantity"] for one in dataclasses.fields(EFFECTS[candidate.name])}
     per = float(fitter.logged.thinning) if candidate.effect is LoopDelay else 1.0
-    known, told = (per * one if np.isfinite(one) else None for one in (size, apart))
     label = AMPLITUDE if parameter == WAVE[0] else parameter
-    rival = None if told == known else rival
-    return DetectionLimit(candidate.name, label, fields[parameter].unit, known, weakens, rival, told)
+    unit = fields[parameter].unit
+    return DetectionLimit(candidate.name, label, unit, None if size is None else per * size, candidate.weakens)

@@ -66,7 +66,7 @@ class Diagnosis:
     lacks: list[Shortcoming]
     laps: Laps | None  # where a reference repeats, and the missing force can be told
     limits: list[DetectionLimit]  # what the logs would have shown of each effect that was not found
-    left: list[Dependence]  # what would explain what is left where the verdict is `unknown`, the likeliest first
+    left: list[Dependence] | None  # what would explain what is left, the likeliest first; None: not looked for
 
     @property
     def floor(self) -> float | None:
@@ -169,13 +169,18 @@ def diagnose(
         others=_subsystems(found, verdict.unexplained),
     )
     progress("judging on held-out data", 1, 1)
-    progress("finding what these logs would have shown", 0, 1)
-    described = found.base if found.best.model.coupled else found.best
-    left = dependences(fitter, described, at) if verdict.verdict == "unknown" and not hopeless else []
-    limits = [] if hopeless else detection_limits(fitter, found.best, catalogue, _needed(fitter, found))
-    progress("finding what these logs would have shown", 1, 1)
+    progress("finding what these logs would show", 0, 1)
+    searched = bool(most_effects) and not hopeless
+    limits = detection_limits(fitter, found.best, catalogue, _needed(fitter, found)) if searched else []
+    left = dependences(fitter, found.best, at) if searched and _is_lacking(fitter, found, verdict) else None
+    progress("finding what these logs would show", 1, 1)
     again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.told else None
     return Diagnosis(logged, found, verdict, [*where, *_signals(rungs)], gap, rungs, parts, lacks, again, limits, left)
+
+
+def _is_lacking(fitter: Fitter, found: Explanation, verdict: Verdict) -> bool:
+    """Whether something is left, and nothing that was found is believed."""
+    return verdict.verdict == "unknown" and not complete(fitter, found.best)
 
 
 def _needed(fitter: Fitter, found: Explanation) -> float:

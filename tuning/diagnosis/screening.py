@@ -35,6 +35,7 @@ from tuning.diagnosis.model import (
     stacked,
 )
 from tuning.diagnosis.priors import Parameter
+from tuning.diagnosis.reduced import reduced
 from tuning.store.store import Arrays
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
@@ -122,11 +123,10 @@ def _pushed(fitted: Fitted) -> Logged:
 
 def screen(fitted: Fitted, candidate: Candidate) -> Screened:
     """The best point of the grid of a candidate with amplitudes; of no evidence where there is none."""
-    left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
-    found = [_screened(fitted, candidate, point, left) for point in looked_for(fitted, candidate)]
+    found = [_screened(fitted, candidate, point) for point in looked_for(fitted, candidate)]
     if candidate.narrow:
         likely = sorted(found, key=lambda one: -one.evidence)[:LIKELY]
-        found += [_screened(fitted, candidate, point, left) for one in likely for point in _about(candidate, one)]
+        found += [_screened(fitted, candidate, point) for one in likely for point in _about(candidate, one)]
     nothing = Screened(candidate, 0.0, -np.inf, {}, fitted.u, fitted.u, fitted.process * TRIED)
     return max(found, key=lambda one: one.evidence, default=nothing)
 
@@ -140,14 +140,11 @@ def _about(candidate: Candidate, found: Screened) -> list[Values]:
     return [fixed | {candidate.narrow: fixed[candidate.narrow] * np.exp(share)} for share in shares]
 
 
-def _screened(fitted: Fitted, candidate: Candidate, point: Values, left: Vector) -> Screened:
-    """What the candidate would explain at a point of its grid; `left` is how far the free parameters want to move."""
+def _screened(fitted: Fitted, candidate: Candidate, point: Values) -> Screened:
+    """What the candidate would explain at a point of its grid."""
     logged, values = fitted.model.logged, dict(point)
     d, labels = sensitivities(fitted, candidate, values)
-    cross = fitted.jacobian.T @ d
-    making_way = solved(fitted.hessian, cross)
-    schur = d.T @ d - cross.T @ making_way
-    slope = d.T @ fitted.residual - cross.T @ left
+    schur, slope, left, making_way = reduced(fitted, d)
     schur = schur + np.eye(len(schur))
     amount = -solved(schur, slope)
     gain = float(-slope @ amount)

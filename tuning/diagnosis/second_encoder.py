@@ -65,19 +65,25 @@ def unlikelihood(twist: Twist, expected: Float[np.ndarray, "lanes n"], period: f
     """
     if not twist.counts.any():
         return 0.0
-
-    def squares(rest: Float[np.ndarray, "lanes n"]) -> float:
-        each = np.maximum(twist.counts.sum(axis=1, keepdims=True), 1.0)
-        about = rest - np.sum(rest * twist.counts, axis=1, keepdims=True) / each
-        return float(np.sum((about**2 + twist.noise**2) * twist.counts))
-
     independent = float(twist.counts.sum()) * min(1.0, period / INDEPENDENT)
-    return independent * float(np.log(squares(twist.value - expected) / squares(twist.value)))
+    return independent * float(np.log(_squares(twist, twist.value - expected) / _squares(twist, twist.value)))
 
 
-def seen_by(twist: Twist, expected: Float[np.ndarray, "lanes n"], period: float) -> Float[np.ndarray, " m"]:
-    """What a small twist that is expected adds to the residuals: its squares are what `unlikelihood` falls by."""
+def seen_by(
+    twist: Twist, added: Float[np.ndarray, "lanes n"], expected: Float[np.ndarray, "lanes n"], period: float
+) -> Float[np.ndarray, " m"]:
+    """What a small twist that is `added` to the one `expected` counts as residuals: `unlikelihood` falls by its squares
+    where the machine has it.
+    """
+    independent = float(twist.counts.sum()) * min(1.0, period / INDEPENDENT)
+    weight = np.sqrt(independent / _squares(twist, twist.value - expected))
+    return (weight * _about_mean(twist, added) * twist.counts).ravel()
+
+
+def _about_mean(twist: Twist, signal: Float[np.ndarray, "lanes n"]) -> Float[np.ndarray, "lanes n"]:
     each = np.maximum(twist.counts.sum(axis=1, keepdims=True), 1.0)
-    about = expected - np.sum(expected * twist.counts, axis=1, keepdims=True) / each
-    weight = np.sqrt(min(1.0, period / INDEPENDENT)) / twist.noise
-    return (weight * about * twist.counts).ravel()
+    return signal - np.sum(signal * twist.counts, axis=1, keepdims=True) / each
+
+
+def _squares(twist: Twist, rest: Float[np.ndarray, "lanes n"]) -> float:
+    return float(np.sum((_about_mean(twist, rest) ** 2 + twist.noise**2) * twist.counts))

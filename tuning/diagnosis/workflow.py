@@ -92,9 +92,9 @@ class DiagnosisResult(Result):
         lines = [f"{self.verdict.upper()}: {self.says}", *headlines(details["causes"])]
         lines += [details["closed"]["says"], f"Gap: {details['gap']['says']}", f"Next: {self.next_motion.says}"]
         lines += [details["left_looks_like"]] if details["left_looks_like"] else []
-        lines += [details["would_have_shown"]] if details["would_have_shown"] and self.verdict == "none" else []
         lines += [details["scale_noise"]] if details["scale_noise"] else []
         lines += [f"{finding['log']}: {finding['found']}; {finding['mend']}" for finding in details["findings"]]
+        lines += [details["logs_would_show"]] if details["logs_would_show"] and self.verdict == "none" else []
         wrapped = [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ")]
         cut = [*wrapped[: LINES - 1], "... and more: see details"] if len(wrapped) > LINES else wrapped
         return "\n".join(cut)

@@ -54,11 +54,8 @@ PICTURES = {
     "causes": "How sure each cause is.",
     "ladder": "The gap of each model on held-out data, against the noise floor; bars: 95 %.",
 }
-LIMITS = ("effect", "would have been seen")
-LIMIT = (
-    "Detection limits: an effect of this size would bring the evidence that one more effect must bring; told from: the "
-    "size from which on these logs tell it from the effect that is most like it"
-)
+LIMITS = ("effect", "parameter", "size, SI", "unit", "these logs would show it")
+LIMIT = "Detection limits: an effect of this size brings the evidence that one more effect must bring"
 BOTH = "Nominal parameters; damping moves with viscous friction"
 
 Row = list[object]
@@ -93,7 +90,7 @@ def print_answers(report: Report, details: Details) -> None:
         report.say(f"\n{details['left_looks_like']}.")
     if details["detection_limits"]:
         report.record("detection_limits", LIMITS, [_limit(one) for one in details["detection_limits"]])
-        report.say(f"\n{details['would_have_shown']}.")
+        report.say(f"\n{details['logs_would_show']}.")
     report.say(f"\nNext: {details['next_experiment']['says']}")
 
 
@@ -183,7 +180,7 @@ def write_page(report: Report, details: Details, augmented: str | None) -> None:
         f"<p>Drive with what was found, as in log 1: <code>{_html(augmented)}</code></p>" if augmented else "",
         f"<p>{_html(details['scale_noise'])}</p>" if details["scale_noise"] else "",
         _paid(details["payoff"]) if "payoff" in details else "",
-        _would_have_shown(details),
+        _logs_would_show(details),
         f"<h2>What next?</h2><p>{_html(details['next_experiment']['says'])}</p>",
         "</html>",
     ]
@@ -194,17 +191,17 @@ def _html(text: str) -> str:
     return escape(readable(text))
 
 
-def _would_have_shown(details: Details) -> str:
+def _logs_would_show(details: Details) -> str:
     limits = details["detection_limits"]
     if not limits:
         return ""
-    return "<h2>What else would these logs have shown?</h2>" + _table(
+    return "<h2>What else would these logs show?</h2>" + _table(
         LIMITS, [_limit(one) for one in limits], LIMIT, words=True
     )
 
 
 def _limit(one: Details) -> Row:
-    return [one["effect"], one["says"]]
+    return [one["effect"], one["parameter"], one["size"], one["unit"], one["says"]]
 
 
 def _found(details: Details) -> str:
