@@ -209,8 +209,8 @@ def possible_sizes(candidate: Candidate) -> Vector:
 
 
 def gains_at(fitter: Fitter, fitted: Fitted, candidate: Candidate, sizes: ArrayLike) -> Vector:
-    """What -2 log likelihood falls by with an effect without amplitudes in the log of a machine that has it, at sizes of
-    its first parameter (in deviations of its prior); beyond what it does where it is `bare`.
+    """What -2 log likelihood falls by with an effect without amplitudes in the log of a machine that has it, at sizes
+    of its first parameter (in deviations of its prior); beyond what it does where it is `bare`.
     """
     one, logs = candidate.parameters[0], fitted.model.logged.logs
     usual, model = usual_values(candidate, logs), joined(fitted.model, candidate)
