@@ -154,9 +154,9 @@ def _at_scale(
     curvature: Float[np.ndarray, "c c"], slope: Float[np.ndarray, " c"], scale: float
 ) -> tuple[float, Float[np.ndarray, " c"]]:
     """Evidence, and the corners, where their prior has this scale."""
-    bent = scale**2 * curvature + np.eye(len(slope))
-    corners = -scale * solved(bent, scale * slope)
-    return float(-slope @ corners) - log_volume(bent), corners
+    with_prior = scale**2 * curvature + np.eye(len(slope))
+    corners = -scale * solved(with_prior, scale * slope)
+    return float(-slope @ corners) - log_volume(with_prior), corners
 
 
 def _size(

@@ -92,10 +92,13 @@ def _of_amplitudes(fitter: Fitter, fitted: Fitted, candidate: Candidate, needed:
     """A limit for each amplitude, where the other numbers of the effect make it hardest to see."""
     logs = fitted.model.logged.logs
     points = [usual_values(candidate, logs), *unusual_values(candidate, logs)]
-    told = [_curvature(fitter, fitted, candidate, values) for values in points]
+    curvatures = [_curvature(fitter, fitted, candidate, values) for values in points]
     known = {one.name: one for one in candidate.parameters}
-    for parameter, groups in amplitude_groups(told[0][1]).items():
-        sizes = [_deviations(_told_by(one, groups), needed + log_volume(one + np.eye(len(one)))) for one, _ in told]
+    for parameter, groups in amplitude_groups(curvatures[0][1]).items():
+        sizes = [
+            _deviations(_gain_per_deviation(one, groups), needed + log_volume(one + np.eye(len(one))))
+            for one, _ in curvatures
+        ]
         spread, worst = known[parameter].spread, max(sizes)
         if not _alone(fitted, candidate, points[0], parameter, UNEXPECTED * spread):
             continue
@@ -157,14 +160,14 @@ def amplitude_groups(labels: Labels) -> dict[str, list[Group]]:
     return {name: list(each.values()) for name, each in groups.items()}
 
 
-def _told_by(curvature: Products, groups: Sequence[Group]) -> float:
+def _gain_per_deviation(curvature: Products, groups: Sequence[Group]) -> float:
     """Evidence of one deviation of the prior in every log alike; of a wave, at the phases that show least of it."""
-    told = curvature @ solved(curvature + np.eye(len(curvature)), curvature)
+    gains = curvature @ solved(curvature + np.eye(len(curvature)), curvature)
     every = [column for group in groups for column in group]
-    told = told[np.ix_(every, every)]
+    gains = gains[np.ix_(every, every)]
     if len(every) == len(groups):
-        return float(told.sum())
-    return len(groups) * float(np.linalg.eigvalsh(told)[0])
+        return float(gains.sum())
+    return len(groups) * float(np.linalg.eigvalsh(gains)[0])
 
 
 def _deviations(evidence: float, needed: float) -> float:

@@ -13,7 +13,7 @@ from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.detection import (
     AMPLITUDE,
     DetectionLimit,
-    _told_by,
+    _gain_per_deviation,
     amplitude_groups,
     detection_limits,
     gains_at,
@@ -164,19 +164,21 @@ def test_what_is_free_makes_way_as_in_a_joint_fit():
     np.testing.assert_allclose(-found.wanted - found.way @ joint[4:], joint[:4], rtol=1e-9)
 
 
-def test_a_wave_is_told_by_the_phases_that_show_least_of_it_and_what_is_alike_in_all_logs_by_its_sum():
+def test_a_wave_is_gain_per_deviation_the_phases_that_show_least_of_it_and_what_is_alike_in_all_logs_by_its_sum():
     amplitude = Parameter("mean", 0.0, 1.0, session=True, amplitude=True)
     waves = [amplitude._replace(name=name) for name in ("cosine", "sine", "cosine2")]
     labels = [(one, log) for one in waves for log in (0, 1)]
     assert amplitude_groups(labels) == {"cosine": [[0, 2], [1, 3]]}
     assert amplitude_groups([(amplitude, 0), (amplitude, 1)]) == {"mean": [[0], [1]]}
     curvature = 1e6 * np.array([[1.0, -0.9], [-0.9, 1.0]])
-    assert _told_by(curvature, [[0], [1]]) == pytest.approx(0.2e6, rel=1e-3)  # alike in both: they take from each other
+    assert _gain_per_deviation(curvature, [[0], [1]]) == pytest.approx(
+        0.2e6, rel=1e-3
+    )  # alike in both: they take from each other
     both = 1e6 * np.diag([4.0, 4.0, 9.0, 9.0])
-    assert _told_by(both, [[0, 2], [1, 3]]) == pytest.approx(2 * 4e6, rel=1e-3)
+    assert _gain_per_deviation(both, [[0, 2], [1, 3]]) == pytest.approx(2 * 4e6, rel=1e-3)
     for phase in np.linspace(0.0, np.pi, 7):
         way = np.array([np.cos(phase), np.cos(phase), np.sin(phase), np.sin(phase)])
-        assert way @ both @ way >= 0.999 * _told_by(both, [[0, 2], [1, 3]])
+        assert way @ both @ way >= 0.999 * _gain_per_deviation(both, [[0, 2], [1, 3]])
 
 
 def test_what_a_second_encoder_would_see_is_what_its_likelihood_falls_by():
