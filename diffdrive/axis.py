@@ -67,6 +67,11 @@ class Axis(eqx.Module):
         return self.rate if self.trace.rate is None else float(self.trace.rate)
 
     @property
+    def loop_samples(self) -> int:
+        """Samples of the control to a row of its logs, which is a snapshot of one of them; 1 where rows are means."""
+        return self.trace.stride(self.rate) if self.trace.sample == "snapshot" else 1
+
+    @property
     def gains(self) -> dict[str, Scalar]:
         """The controller's gains by name, in SI units: those that `with_gains` takes, and that are tuned."""
         return {name: node_at(self.controller, tunable.path) for name, tunable in self.controller.tunables.items()}

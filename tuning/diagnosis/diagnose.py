@@ -35,6 +35,7 @@ from tuning.diagnosis.ladder import Rung, climb, known_floor
 from tuning.diagnosis.laps import Laps, laps
 from tuning.diagnosis.leftover import LACKING, SLIDING, complete, credible, furthest
 from tuning.diagnosis.model import Logged, Member, counted_in, thinned
+from tuning.diagnosis.reading import likeliest_snapshots
 from tuning.diagnosis.search import Progress, Round, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.setting import setting
@@ -84,8 +85,10 @@ class Diagnosis:
         return self.explanation.best
 
 
-def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
-    """The logs as the diagnosis takes them; the drive's own effects are no part of it."""
+def logged_of(drive: Drive, logs: Sequence[Log], loop_samples: int = 1) -> Logged:
+    """The logs as the diagnosis takes them, whose rows are the first of so many samples of the loop; the drive's own
+    effects are no part of it.
+    """
     for log in logs:
         if not long_pieces(log):
             mend = "leave this log out" if len(logs) > 1 else "log a longer motion"
@@ -104,10 +107,12 @@ def logged_of(drive: Drive, logs: Sequence[Log]) -> Logged:
     rate = float(round(logs[0].rate / thinning, 6))
     noise = jnp.asarray(noise_floor(drive, lanes, rate))
     sampling = Sampling(rate, thinning * sampling_of(logs[0].rate, SUBSTEP).plant_steps)
-    if lanes.period_commands is None and float(delay) % 1.0:
+    is_fast = loop_samples == 1 or thinning > 1
+    if is_fast and lanes.period_commands is None and float(delay) % 1.0:
         lanes = lanes._replace(period_commands=in_parts(lanes.command, sampling.plant_steps))
     starts = jnp.asarray([float(log.time[piece.start] - log.time[0]) for log in logs for piece in long_pieces(log)])
-    return Logged(as_arrays(drive), delay, padded(lanes), owner, noise, sampling, starts, thinning)
+    logged = Logged(as_arrays(drive), delay, padded(lanes), owner, noise, sampling, starts, thinning)
+    return logged if is_fast else likeliest_snapshots(logged, loop_samples)
 
 
 def diagnose(
@@ -118,19 +123,21 @@ def diagnose(
     without: Sequence[str] = (),
     tolerance: float = TOLERANCE,
     most_effects: int = MOST_EFFECTS,
+    loop_samples: int = 1,
     store: Store | None = None,
     progress: Progress = lambda what, done, most: None,
 ) -> Diagnosis:
     """Find what a drive lacks to move as its logs do.
 
     `without` are effects that are not to be considered; `tolerance` is the standard deviation of the logarithm of each
-    nominal parameter; `most_effects` is how many are looked for, one after the other. Effects that the drive has stay
+    nominal parameter; `most_effects` is how many are looked for, one after the other; a row of the logs is the first of
+    `loop_samples` of the control. Effects that the drive has stay
     as they are. Finished searches are kept in the `store`, and taken from there when the diagnosis is begun again.
     Raises `LogError` for a log without a long enough piece, and `ParameterError` for a drive that no filter can run and
     for effects that the catalogue has not.
     """
     require_coulomb_friction(drive, "a diagnosis")
-    logged = logged_of(drive, logs)
+    logged = logged_of(drive, logs, loop_samples)
     require_effects(without, "without")
     effects = [counted_in(one, logged.thinning) for one in drive.effects]
     fitter = Fitter(logged, twist_of(logs, logged.lanes, float(logged.noise), logged.thinning), store)

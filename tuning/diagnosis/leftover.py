@@ -8,7 +8,7 @@ from jaxtyping import Float
 from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.model.friction import coulomb
 from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.fitting import Fitted, Fitter
+from tuning.diagnosis.fitting import MOST, Fitted, Fitter
 from tuning.diagnosis.following import LASTING
 from tuning.diagnosis.trust import least_trusted, lost_samples, lost_share
 
@@ -24,6 +24,7 @@ STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal param
 IMPOSSIBLE = 6.0  # of the same: what no machine of this drive file has, and is explained before anything else
 SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
 RELEVANT = 3e-4  # of the friction
+UNTOLD = 14  # sudden forces that are tried where no row tells of them
 # what a table that slides tells: effects before sliding take over what the others mean
 _SLIDING = ("mass", "coulomb_screw", "load_coefficient", "viscous")
 SLIDING = tuple(name for name in NAMES if name.split(".")[0] in _SLIDING)
@@ -39,10 +40,15 @@ def lacking(fitter: Fitter, fitted: Fitted) -> float:
     """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing.
 
     A force of `RELEVANT` of the friction is allowed, and a sudden one that comes to as much over as long: the
-    simulator's own steps make as much. The effects are stepped along the same course in both: where one remembers when
-    the table stood still, that makes a difference of its own.
+    simulator's own steps make as much. Between snapshots of a command any sudden force is allowed: no row tells of the
+    commands between. The effects are stepped along the same course in both: where one remembers when the table stood
+    still, that makes a difference of its own.
     """
     least = np.minimum(fitted.process, relevant_forces(fitter, fitted))
+    if fitter.logged.loop_samples > 1:
+        there = fitter.at(fitted.model, fitted.u, fitted.process, fitted.track.course)
+        sudden = np.geomspace(fitter.least, MOST, UNTOLD)
+        least = fitter.with_process(there, fitted.model, np.stack([np.full(UNTOLD, least[0]), sudden], axis=1)).process
     none, some = (fitter.at(fitted.model, fitted.u, one, fitted.track.course).cost for one in (least, fitted.process))
     return none - some if np.isfinite(none) and np.isfinite(some) else np.inf
 
@@ -63,8 +69,9 @@ def blind(fitter: Fitter, base: Fitted) -> bool:
 
 
 def power_left(base: Fitted, fitted: Fitted) -> float:
-    """Share of the missing force's mean square that is left."""
-    return float(np.sum(fitted.process**2) / np.sum(base.process**2))
+    """Share of the missing force's mean square that is left; between snapshots, of that which lasts."""
+    last = 1 if fitted.model.logged.loop_samples > 1 else 2
+    return float(np.sum(fitted.process[:last] ** 2) / np.sum(base.process[:last] ** 2))
 
 
 def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:

@@ -41,6 +41,7 @@ class Logged(NamedTuple):
     sampling: Sampling
     starts: Float[Array, " lanes"]  # s, when each begins in its log
     thinning: int = 1  # control periods to one of these samples; delays here are counted in the latter
+    loop_samples: int = 1  # of the control to a row, which has the first of them alone
 
     @property
     def control(self) -> Sampling:

@@ -165,7 +165,10 @@ def diagnose_checked(
     """The engine's answer, as sure as the checks of the logs allow; `more` is what the engine takes."""
     most, seen = 0 if is_void(used) else most_effects, axis.as_logged()
     without = [*without, *unseen_effects(axis)]
-    found = diagnose_drive(seen.drive, seen.controller, used.logs, most_effects=most, without=without, **more)
+    found = diagnose_drive(
+        seen.drive, seen.controller, used.logs,
+        most_effects=most, without=without, loop_samples=axis.loop_samples, **more,
+    )  # fmt: skip
     return downgrade(found, used.fatal)
 
 

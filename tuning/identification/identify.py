@@ -37,7 +37,7 @@ from tuning.identification.refinement import (
     without_undetermined,
 )
 from tuning.identification.rivals import RivalValue, rival_values
-from tuning.identification.row_force import BetweenRows
+from tuning.identification.row_force import BetweenRows, loop_samples
 from tuning.identification.setup import IdentificationSetup, build_problem
 from tuning.identification.snapshots import as_rows_show, with_unknown_command
 from tuning.identification.uncertainty import Covariance, repetition_inflation
@@ -86,6 +86,13 @@ class Identification:
     def between(self) -> BetweenRows:
         """What the command does between two rows of the logs: what is likelier."""
         return self.full_fit.residuals.between
+
+    @property
+    def loop_samples(self) -> int:
+        """How many samples of its loop a row of the logs lasts: one where each of them is a row."""
+        if self.between is BetweenRows.HELD:
+            return 1
+        return loop_samples(next(one.value for one in self.estimates if one.name == "delay"))
 
     @property
     def code(self) -> str:

@@ -24,6 +24,8 @@ from diffdrive.numerics.arrays import Scalar
 
 MAX_DELAY = 8  # rows
 MIN_DELAY = -1  # a command that is logged one row late
+AT_ONCE = -0.5  # rows: the delay of a smooth command that acts at the instant of its row
+MOST_SAMPLES = 16  # of a loop, that are told in a row
 NODES = (-1, 0, 1, 2)  # rows about a row's middle, through which the cubic goes
 POWERS = np.linalg.inv(np.vander(NODES, increasing=True))  # [power, node]: coefficients of the polynomial
 
@@ -44,6 +46,16 @@ class RowForce(NamedTuple):
 
     mean: Float[Array, " n"]
     change: Float[Array, "n 3"] | None = None
+
+
+def loop_samples(delay: float) -> int:
+    """How many samples of its loop a row lasts, as the `delay` of its smooth command shows it.
+
+    The loop holds each command for one of its samples, so that it acts half of one late. What acts as late as a command
+    that is held for all of its row is one sample.
+    """
+    late = max(delay - AT_ONCE, 0.5 / MOST_SAMPLES)
+    return max(1, round(0.5 / late))
 
 
 def applied_force(
@@ -91,8 +103,8 @@ def delayed(command: Float[Array, " n"], delay: Scalar) -> Float[Array, " n"]:
 def smooth(command: Float[Array, " n"], delay: Scalar) -> RowForce:
     """The force in each row where the command is a smooth one; beyond the log its end values.
 
-    `delay` is that of a held command of the same mean (rows), so that a command which acts at once has -1/2: half a row
-    ahead of a row's first instant is its middle.
+    `delay` is that of a held command of the same mean (rows), so that a command which acts at once has `AT_ONCE`: half
+    a row ahead of a row's first instant is its middle.
     """
     whole = lax.stop_gradient(jnp.floor(-jnp.asarray(delay)))
     at = jnp.arange(len(command)) + whole.astype(int)

@@ -10,6 +10,7 @@ import numpy as np
 
 from diffdrive.axis import Axis, require_axis
 from diffdrive.errors import ParameterError
+from diffdrive.model.parameters import Sampling
 from diffdrive.results import Result, Status
 from tuning.checked_logs import CheckedLogs, checked, require_sound
 from tuning.experiment_design.next_motion import Proposal, propose_motions
@@ -221,10 +222,12 @@ def identify_checked(
     """`identify` from logs that were looked over, whatever was found in them; finished searches are in the `store`.
 
     The first search starts from `start`, the answer of an earlier fit of the same axis, if there is one. `between` is
-    what the command is known to do between two rows.
+    what the command is known to do between two rows: that of snapshots changes, as the axis says or as they show it.
     """
     _require_no_effects(axis)
     seen = axis.as_logged()
+    if between is None and axis.loop_samples > 1:
+        between = BetweenRows.SMOOTH
     deficits = shortcomings(used.logs, seen.drive, held_unknowns(fixed))
     logs, notes = without_doubtful_encoder(used.logs, used.findings)
     parts = most_informative(logs, seen.drive)
@@ -268,10 +271,21 @@ def _result(
         notes.append(f"{axis.unseen_controller}: the delay found is that of the trace, and [actuator] stays as it was")
     known = left_open(found.estimates, found.estimate_covariance)
     identified = replace(axis.with_logged_drive(found.drive), name="identified", uncertainty=known)
+    if found.loop_samples > 1 and axis.trace.rate is None and not axis.controller.can_simulate:
+        identified = _of_faster_loop(identified, found.loop_samples)
+        notes.append(
+            f"the rows act as one in {found.loop_samples} of a loop at {identified.rate:g} Hz: [sampling] rate is that "
+            "now, and [trace] rate that of the rows"
+        )
     return IdentificationResult(
         identified, tuple(found.estimates), found, used, held_out,
         tuple(notes), seen, _status(found, against, deficits, sums), tuple(against), tuple(deficits),
     )  # fmt: skip
+
+
+def _of_faster_loop(axis: Axis, samples: int) -> Axis:
+    """The axis whose control has so many samples to a row of its logs."""
+    return replace(axis, sampling=Sampling(samples * axis.rate), trace=replace(axis.trace, rate=axis.rate))
 
 
 def _status(

@@ -14,7 +14,16 @@ from diffdrive.model import actuator, current_loop, plant
 from diffdrive.model.friction import resolvable
 from diffdrive.model.parameters import Actuator, Plant, Sampling
 from diffdrive.model.quantity import Directional
-from tuning.identification.row_force import MAX_DELAY, BetweenRows, RowForce, advance, applied_force, delayed, smooth
+from tuning.identification.row_force import (
+    MAX_DELAY,
+    BetweenRows,
+    RowForce,
+    advance,
+    applied_force,
+    delayed,
+    loop_samples,
+    smooth,
+)
 
 ROWS = np.arange(60.0)
 INSIDE = slice(MAX_DELAY + 4, -6)  # rows whose polynomial goes through none that was repeated
@@ -147,3 +156,13 @@ def test_a_smooth_command_is_limited_and_lags_in_the_current_loop():
 def test_a_lag_that_is_longer_than_any_delay_reads_the_rows_that_far_back():
     force = smooth(jnp.asarray(ROWS), 20.3)
     np.testing.assert_allclose(force.mean[25:-5], ROWS[25:-5] - 20.3, atol=1e-9)
+
+
+@pytest.mark.parametrize("samples", range(1, 17))
+def test_the_samples_of_a_loop_are_told_by_how_late_it_acts_in_its_row(samples):
+    assert loop_samples(0.5 / samples - 0.5) == samples
+
+
+@pytest.mark.parametrize(("delay", "samples"), [(-0.6, 16), (-0.5, 16), (0.0, 1), (0.4, 1), (2.0, 1)])
+def test_what_acts_before_its_row_is_the_fastest_loop_and_what_acts_late_is_no_faster_one(delay, samples):
+    assert loop_samples(delay) == samples

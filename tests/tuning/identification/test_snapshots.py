@@ -37,6 +37,7 @@ def log():
 def test_a_slow_trace_is_read_as_snapshots_and_its_mass_is_the_machines(log):
     found = identify([every(log, RATIO)], BELIEVED, starts=2)
     assert found.between is BetweenRows.SMOOTH
+    assert found.loop_samples == RATIO
     assert any("snapshots" in note for note in found.notes)
     mass, delay = (next(one for one in found.estimates if one.name == name) for name in ("mass", "delay"))
     assert mass.value == pytest.approx(float(MACHINE.plant.mass), rel=2e-3)
