@@ -26,7 +26,7 @@ from tuning.identification.snapshots import as_read
 
 
 def likeliest_snapshots(logged: Logged, loop_samples: int) -> Logged:
-    """The same logs, each row being the first of so many samples of its loop, with or without its noise between rows."""
+    """The same logs, each row being the first of so many samples of its loop; with or without its noise in between."""
     quiet = as_read(logged.lanes, BetweenRows.SMOOTH).command
     both = [as_snapshots(logged, loop_samples, command) for command in (quiet, logged.lanes.command)]
     return min(both, key=_cost)
