@@ -74,7 +74,7 @@ def dependences(fitter: Fitter, fitted: Fitted, at: Setting) -> list[Dependence]
         dearer = under.evidence - moved - fitted.evidence
         if not np.isfinite(dearer):
             continue
-        for family, abscissa in _families(under, at):
+        for family, abscissa in families(under, at):
             found = _judged(under, family, abscissa)
             found = found._replace(evidence=found.evidence - dearer)
             if found.evidence > best.get((found.of, found.kind), found._replace(evidence=WORTH)).evidence:
@@ -88,7 +88,8 @@ def hats(values: Signal, knots: Float[np.ndarray, " c"]) -> Basis:
     return np.stack([np.interp(inside, knots, corner) for corner in np.eye(len(knots))], axis=-1)
 
 
-def _families(fitted: Fitted, at: Setting) -> Iterator[tuple[Family, Signal]]:
+def families(fitted: Fitted, at: Setting) -> Iterator[tuple[Family, Signal]]:
+    """The functions that may be free beside a fit, and what each is of."""
     logged, course = fitted.model.logged, fitted.track.course
     position, velocity = np.asarray(course.position), np.asarray(course.velocity)
     command = np.asarray(logged.lanes.command)
@@ -127,7 +128,7 @@ def _late(signal: Signal, samples: int) -> Signal:
 FIELDS = {"force": "force", "friction": "coulomb", "scale": "scale"}
 
 
-def _answers(fitted: Fitted, family: Family) -> Float[np.ndarray, "m c"]:
+def corner_answers(fitted: Fitted, family: Family) -> Float[np.ndarray, "m c"]:
     """Derivatives of the residuals by each corner."""
     logged, acts = fitted.model.logged, jnp.asarray(family.unit * family.basis)
     still = jnp.zeros_like(acts)
@@ -141,7 +142,7 @@ def _answers(fitted: Fitted, family: Family) -> Float[np.ndarray, "m c"]:
 
 
 def _judged(fitted: Fitted, family: Family, abscissa: Signal) -> Dependence:
-    curvature, slope, _, _ = reduced(fitted, _answers(fitted, family))
+    curvature, slope, _, _ = reduced(fitted, corner_answers(fitted, family))
     evidences, corners = zip(*(_at_scale(curvature, slope, scale) for scale in SCALES), strict=True)
     weights = 0.5 * np.array(evidences)
     evidence = 2.0 * float(logsumexp(weights) - np.log(len(SCALES)))

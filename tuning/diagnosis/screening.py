@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from diffdrive.effects.base import MachineEffect
 from tuning.diagnosis.beginnings import looked_for
@@ -21,6 +21,7 @@ from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.curvature import limited, log_volume, solved
 from tuning.diagnosis.differences import by_acts
 from tuning.diagnosis.evolving import evolved_once
+from tuning.diagnosis.exposure import Exposure
 from tuning.diagnosis.fitting import Fitted, Fitter, Point, answered
 from tuning.diagnosis.leftover import STRAINED, strain
 from tuning.diagnosis.model import (
@@ -85,6 +86,36 @@ def sensitivities(
     What the candidate does alone, the others outside the filter being a force that acts beside the motor: to first
     order that is what it does beside them, but for what answers the motor's force beside another of the actuator's.
     """
+    columns, bend, labels = _small_changes(fitted, candidate, point)
+    if not fitted.model.coupled:
+        return _as_one_mass(fitted, columns, bend), labels
+    model, u, process, track = fitted.model, fitted.u, fitted.process, fitted.track
+    found = by_acts(model, u, process, track, fitted.drive, fitted.acting, np.asarray(columns), bend)
+    return _of_residuals(fitted, found), labels
+
+
+def sensitivities_of_one_mass(
+    fitted: Fitted, candidate: Candidate, point: Values
+) -> tuple[Float[np.ndarray, "m k"], list[tuple[Parameter, int | None]]]:
+    """The same as if motor and table were one mass: what is slower than a screw's resonance moves both alike."""
+    columns, bend, labels = _small_changes(fitted, candidate, point)
+    return _as_one_mass(fitted, columns, bend), labels
+
+
+def _as_one_mass(fitted: Fitted, columns: Float[Array, "p m"], bend: Exposure) -> Float[np.ndarray, "n m"]:
+    lanes, period = fitted.model.logged.lanes, fitted.model.logged.sampling.period
+    return _of_residuals(fitted, np.asarray(answered(fitted.track, fitted.linear, columns, bend, lanes.counts, period)))
+
+
+def _of_residuals(fitted: Fitted, changes: Float[np.ndarray, "lanes n m"]) -> Float[np.ndarray, "n m"]:
+    found = changes.reshape(fitted.residual.size, -1) / np.sqrt(float(fitted.track.size))
+    return np.where(fitted.residual[:, None] != 0.0, found, 0.0)
+
+
+def _small_changes(
+    fitted: Fitted, candidate: Candidate, point: Values
+) -> tuple[Float[Array, "p m"], Exposure, list[tuple[Parameter, int | None]]]:
+    """Of the machine's numbers and of what acts, by each amplitude."""
     logged = _pushed(fitted)
     effect = effect_in_lanes(candidate.effect, point, logged.owner)
     amplitudes = [one for one in candidate.parameters if one.amplitude]
@@ -103,14 +134,7 @@ def sensitivities(
         others = fitted.model.apart(fitted.model.effects(fitted.u))[0]
         still = jax.tree.map(lambda leaf: np.zeros((len(rows), *leaf.shape)), others)
         columns = machine_slopes(logged, b, (*others, effect), (*still, tangents))[:, len(NAMES) :]
-    if fitted.model.coupled:
-        model, u, process, track = fitted.model, fitted.u, fitted.process, fitted.track
-        found = by_acts(model, u, process, track, fitted.drive, fitted.acting, np.asarray(columns), bend)
-    else:
-        counts, period = logged.lanes.counts, logged.sampling.period
-        found = np.asarray(answered(fitted.track, fitted.linear, columns, bend, counts, period))
-    found = found.reshape(fitted.residual.size, -1) / np.sqrt(float(fitted.track.size))
-    return np.where(fitted.residual[:, None] != 0.0, found, 0.0), labels
+    return columns, bend, labels
 
 
 def _pushed(fitted: Fitted) -> Logged:

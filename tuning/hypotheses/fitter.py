@@ -1,0 +1,39 @@
+"""A fitter that takes motor and table for one mass wherever that tells a derivative.
+
+A screw swings at its resonance. What is slower moves motor and table alike, so that the nominal parameters and the
+effects that act on either need no filter of their own for each derivative: only the screw's own numbers do. Steps are
+taken where the cost itself falls, so the least is the same; the curvature there is this approximation's.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.differences import by_numbers
+from tuning.diagnosis.fitting import Fitter, Point
+from tuning.diagnosis.following import Slopes
+from tuning.diagnosis.model import Model, Vector
+
+
+class OneMassFitter(Fitter):
+    """Fits hypotheses about the same logs; derivatives beside a screw are those of one mass."""
+
+    def jacobian(
+        self, model: Model, point: Point, linear: Slopes | None = None, free: Vector | bool = True
+    ) -> Float[np.ndarray, "m k"]:
+        if not (model.coupled and model.screw):
+            return super().jacobian(model, point, linear, free)
+        within = stepped_within(model)
+        loose = Model(model.logged, tuple(one for one in model.members if not one.candidate.coupled), model.tolerance)
+        there = point._replace(u=point.u[~within])
+        wanted = within & np.broadcast_to(np.asarray(free, bool), model.size)
+        found = by_numbers(model, point.u, point.process, point.track, point.course, np.flatnonzero(wanted))
+        found = self.residuals(point)[1][:, None] * found
+        found[:, ~within] = super().jacobian(loose, there, linear)
+        return found
+
+
+def stepped_within(model: Model) -> Bool[np.ndarray, " k"]:
+    """Which numbers of u are of effects that are stepped within the filter."""
+    coupled = [member.candidate.coupled for member in model.members]
+    return np.r_[np.zeros(len(NAMES), bool), np.array([coupled[index] for index, _, _ in model.slots], bool)]
