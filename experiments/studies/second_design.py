@@ -99,9 +99,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("folder", type=Path, help="has key.json and the cases")
     parser.add_argument("--case", action="append", default=[], help="of these cases only")
-    parser.add_argument(
-        "--out", type=Path, required=True, help="a line of JSON for each case; goes on from it"
-    )
+    parser.add_argument("--out", type=Path, required=True, help="a line of JSON for each case; goes on from it")
     given = parser.parse_args()
     configure()
     print("| case | kind | true | found | explained | left | to the noise | s |\n|---|---|---|---|---|---|---|---|")

@@ -122,8 +122,9 @@ def diagnose(
 
     Args:
         axis: What is believed of the machine, right to `tolerance`.
-        logs: One or several of `Log`, files, data frames or dicts of arrays [n]: every sample of the controller, in
-            both directions and at two speeds; or `CheckedLogs`, which are not looked over again.
+        logs: One or several of `Log`, files, data frames or dicts of arrays [n], in both directions and at two speeds:
+            every sample of the controller, or snapshots at the rate that the axis's trace states; or `CheckedLogs`,
+            which are not looked over again.
         without: Effects that are not to be considered, by name.
         most_effects: How many are looked for.
         tolerance: Relative uncertainty of the axis's parameters.
