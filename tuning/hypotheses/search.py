@@ -138,11 +138,11 @@ def _near(found: Sequence[Entry], needed: float) -> list[Entry]:
 
 
 def _first_of_each(found: Iterable[Entry]) -> list[Entry]:
-    """The best entry of each effect, best first."""
-    kinds: dict[str, Entry] = {}
+    """The best entry of each effect, best first; with and without some of its numbers it is two."""
+    kinds: dict[tuple[str, ...], Entry] = {}
     for one in sorted(found, key=lambda one: -one.evidence):
         if np.isfinite(one.evidence):
-            kinds.setdefault(one.candidate.name, one)
+            kinds.setdefault(one.candidate.kind, one)
     return list(kinds.values())
 
 

@@ -14,8 +14,8 @@ from tuning.hypotheses.search import DETAIL, NEEDED, Judged, _first_of_each, _ne
 from tuning.hypotheses.table import Entry
 
 
-def entry(name, evidence):
-    return Entry(SimpleNamespace(name=name), {}, evidence, np.zeros(0))
+def entry(name, evidence, *numbers):
+    return Entry(SimpleNamespace(name=name, kind=(name, *numbers)), {}, evidence, np.zeros(0))
 
 
 def judged(plain, coarse=False):
@@ -30,6 +30,12 @@ def test_of_each_effect_the_best_point_is_kept_and_of_these_what_may_be_as_good_
     assert [one.evidence for one in _near(found, NEEDED)] == [900.0, 300.0]
     assert [one.evidence for one in _near(found, 400.0)] == [900.0]
     assert _near([entry("cogging", 3.0)], NEEDED) == []
+
+
+def test_an_effect_throughout_and_one_that_comes_and_goes_are_both_fitted():
+    """The second has more numbers to find, and may be the better only where it is linear."""
+    several = [entry("applied_load", 44.0, "load", "start", "end"), entry("applied_load", 38.0, "load")]
+    assert _first_of_each(several) == several
 
 
 def test_beside_a_coarse_effect_more_is_needed_than_its_form_may_be_off_by():
