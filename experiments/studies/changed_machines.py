@@ -16,9 +16,8 @@ from typing import TypedDict
 import tuning
 from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import read_axis
-from diffdrive.errors import DiffdriveError
 from diffdrive.runtime import configure
-from diffdrive.support.atomic_write import write_text
+from experiments.studies.resumed import resumed
 
 SOUND, TODAY = ("healthy-1", "healthy-2"), ("log-a", "log-b")
 
@@ -81,18 +80,11 @@ def study_case(folder: Path, name: str, facts: dict[str, object], true: list[str
 def study(folder: Path, cases: Sequence[str], out: Path) -> Iterator[Case]:
     """Each case, those in `out` first, the others as they are done."""
     key = json.loads((folder / "key.json").read_text(encoding="utf-8"))
-    done: dict[str, Case] = {}
-    if out.exists():
-        done = {one["case"]: one for one in map(json.loads, out.read_text(encoding="utf-8").splitlines())}
-    for name in cases or sorted(key):
-        if name not in done:
-            try:
-                done[name] = study_case(folder, name, key[name], [one["name"] for one in key[name]["effects"]])
-            except DiffdriveError as error:
-                print(f"{name}: {error}", flush=True)
-                continue
-            write_text(out, "".join(json.dumps(one) + "\n" for one in done.values()))
-        yield done[name]
+
+    def one(name: str) -> Case:
+        return study_case(folder, name, key[name], [effect["name"] for effect in key[name]["effects"]])
+
+    yield from resumed(out, cases or sorted(key), one)
 
 
 def _said(answer: Answer) -> str:

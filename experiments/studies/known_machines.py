@@ -20,13 +20,12 @@ import numpy as np
 import tuning
 from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import read_axis
-from diffdrive.errors import DiffdriveError
 from diffdrive.logs import Log
 from diffdrive.model.friction import stribeck_level
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import Directional
 from diffdrive.runtime import configure
-from diffdrive.support.atomic_write import write_text
+from experiments.studies.resumed import resumed
 from tuning.identification.estimates import EstimateStatus
 from tuning.identification.gaps import prediction_gaps
 
@@ -167,19 +166,9 @@ def held_out_ratio(axis: Axis, paths: Sequence[Path], true: Drive) -> float:
 def study(folder: Path, cases: Sequence[str], out: Path | None, held_out: bool) -> Iterator[Case]:
     """Each case, those in `out` first, the others as they are done."""
     key = json.loads((folder / "key.json").read_text(encoding="utf-8"))
-    done: dict[str, Case] = {}
-    if out is not None and out.exists():
-        done = {one["case"]: one for one in map(json.loads, out.read_text(encoding="utf-8").splitlines())}
-    for name in cases or sorted(key):
-        if name not in done:
-            try:
-                done[name] = study_case(folder, name, key[name], key[name]["healthy"], held_out)
-            except DiffdriveError as error:
-                print(f"{name}: {error}", flush=True)
-                continue
-            if out is not None:
-                write_text(out, "".join(json.dumps(one) + "\n" for one in done.values()))
-        yield done[name]
+    yield from resumed(
+        out, cases or sorted(key), lambda name: study_case(folder, name, key[name], key[name]["healthy"], held_out)
+    )
 
 
 def covered(cases: Sequence[Case]) -> tuple[int, int, list[str]]:

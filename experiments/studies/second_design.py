@@ -14,7 +14,7 @@ from typing import TypedDict
 
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.runtime import configure
-from diffdrive.support.atomic_write import write_text
+from experiments.studies.resumed import resumed
 from tuning.checked_logs import checked
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.candidates import candidates
@@ -83,15 +83,11 @@ def _gains(found: Found) -> list[list[tuple[str, float]]]:
 def study(folder: Path, cases: Sequence[str], out: Path) -> Iterator[Answer]:
     """Each case, those in `out` first, the others as they are done."""
     key = json.loads((folder / "key.json").read_text(encoding="utf-8"))
-    done: dict[str, Answer] = {}
-    if out.exists():
-        done = {one["case"]: one for one in map(json.loads, out.read_text(encoding="utf-8").splitlines())}
-    for case in cases or sorted(key):
-        if case not in done:
-            facts = key[case]
-            done[case] = answer(folder, case, facts["kind"], [one["name"] for one in facts["effects"]])
-            write_text(out, "".join(json.dumps(one) + "\n" for one in done.values()))
-        yield done[case]
+
+    def one(case: str) -> Answer:
+        return answer(folder, case, key[case]["kind"], [effect["name"] for effect in key[case]["effects"]])
+
+    yield from resumed(out, cases or sorted(key), one)
 
 
 def main() -> None:

@@ -1,7 +1,5 @@
 """Rows that are snapshots of a faster loop: the commands between them, and what a sound machine lacks then."""
 
-import dataclasses
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +7,7 @@ import pytest
 from experiments.studies.recovery.excitation import identification_motion
 from experiments.studies.recovery.truth import truth_log
 from tests.support.known_machine import GAINS, MACHINE
+from tests.support.slow_trace import every
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fitting import Fitter
@@ -17,12 +16,6 @@ from tuning.diagnosis.reading import as_snapshots, within_rows
 from tuning.diagnosis.search import recalibrated
 
 RATE, SAMPLES = 4_000.0, 4
-
-
-def every(log, samples):
-    """Each so many rows of a log."""
-    names = [one.name for one in dataclasses.fields(log) if isinstance(getattr(log, one.name), np.ndarray)]
-    return dataclasses.replace(log, **{name: getattr(log, name)[::samples] for name in names})
 
 
 @pytest.fixture(scope="module")

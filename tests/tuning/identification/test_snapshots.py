@@ -10,6 +10,7 @@ from diffdrive.model.parameters import Actuator, Sampling
 from experiments.studies.recovery.excitation import identification_motion
 from experiments.studies.recovery.truth import truth_log
 from tests.support.known_machine import BELIEVED, GAINS, MACHINE
+from tests.support.slow_trace import every
 from tuning.identification import snapshots
 from tuning.identification.identify import identify
 from tuning.identification.prediction import Lanes
@@ -20,12 +21,6 @@ from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, no_pr
 from tuning.optimisation.space import Coordinate
 
 RATE, RATIO = 4_000.0, 4
-
-
-def every(log, ratio):
-    """Each so many rows of a log."""
-    names = [one.name for one in dataclasses.fields(log) if isinstance(getattr(log, one.name), np.ndarray)]
-    return dataclasses.replace(log, **{name: getattr(log, name)[::ratio] for name in names})
 
 
 @pytest.fixture(scope="module")
