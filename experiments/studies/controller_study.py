@@ -35,6 +35,7 @@ class NaiveCascade:
     resolution: float = 1e-7  # m
     noise: float = 3e-8  # m
     late: float = 0.0  # s by which the command is logged late, whole periods
+    backward: bool = False  # the reference's speed is differenced from the last sample, not about this one
 
     def log(self, seconds: float, seed: int, name: str = "log") -> Log:
         """A log of a random motion; each row is a snapshot of the loop."""
@@ -42,6 +43,8 @@ class NaiveCascade:
         period, count = 1.0 / self.rate, round(seconds * self.rate)
         reference = random_motion(count, period, rng)
         speed, acceleration = np.gradient(reference, period), np.gradient(np.gradient(reference, period), period)
+        if self.backward:
+            speed = np.diff(reference, prepend=reference[0]) / period
         noise = (self.noise * rng.standard_normal(count)).tolist()
         measured: list[float] = []
         command: list[float] = []

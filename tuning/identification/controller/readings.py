@@ -11,6 +11,7 @@ from diffdrive.logs import Log
 from tuning.identification.controller.fit import Candidate, LawFit, search_law, with_covariance
 from tuning.identification.controller.law import Reading
 from tuning.identification.controller.moments import left_free
+from tuning.identification.controller.search import LATE
 from tuning.identification.controller.signals import (
     AROUND,
     DIFFERENCES,
@@ -61,8 +62,8 @@ class _Choice(NamedTuple):
     samples: int | None = None
 
     def search(self, log: Log, part: slice) -> Candidate | None:
-        """What it makes of a part of the log."""
-        return search_law([self.equation(log, part)], 1.0 / log.rate, self.reading)
+        """What it makes of a part of the log, the fed-forward speed being that of the row."""
+        return search_law([self.equation(log, part)], 1.0 / log.rate, self.reading, held=((LATE,),))
 
 
 def _reading(log: Log, part: slice) -> _Choice:

@@ -17,6 +17,7 @@ EXPECTED = np.array(
         log_gain=0.0,  # where the search starts
         rate=0.0,
         mass=0.0,
+        late=0.0,  # a speed differenced backwards or forwards within a row
         window=1.0,  # one to eight samples of a loop with up to 16 to the row: uniform up to two rows
         shift=0.0,  # the instant of the command is unknown within a row on either side
         noise=0.0,
@@ -29,23 +30,27 @@ SPREAD = np.array(
         log_gain=5.0,
         rate=1000.0,  # 1/s: reset times down to a millisecond
         mass=0.1,  # s: mass over velocity gain is the velocity loop's time constant
+        late=1.0 / np.sqrt(12.0),
         window=2.0 / np.sqrt(12.0),
         shift=2.0 / np.sqrt(12.0),
         noise=16.0,  # of a velocity differenced over a sixteenth of a row
     )
 )
-PARAMETERS = {Reading.EVERY_SAMPLE: 5, Reading.SAME_INSTANT: 6, Reading.OWN_INSTANT: 8}  # of `Law`, from the first on
+PARAMETERS = {Reading.EVERY_SAMPLE: 6, Reading.SAME_INSTANT: 7, Reading.OWN_INSTANT: 9}  # of `Law`, from the first on
 GRID = np.geomspace(0.5, 1000.0, 192)  # 1/s, K_v from which searches start: neighbours 4 % apart
 CLOSER = np.linspace(-0.04, 0.04, 17)  # between neighbours
 WINDOWS = (0.125, 0.25, 0.5, 1.0, 2.0)  # rows
 STARTS = 5
-INSTANTS, HELD = 5, 1e-3  # the first parameter that is a time within rows, and how much tighter it is held at first
+HELD = 1e-3  # how much tighter times within rows are held at first
+NONE = 1e-7  # the same of what is not there: no nanosecond of it is left
 STEPS = 60
 ROUGH = 15  # steps that tell a valley from another
 APART = 0.01  # in log K_v: two searches that end closer have ended at one minimum
 TINY = 1e-30  # step of a complex derivative, exact to the last digit
 
-LOG_KP, LOG_GAIN, RATE = (Law._fields.index(name) for name in ("log_kp", "log_gain", "rate"))
+LOG_KP, LOG_GAIN, RATE, MASS, LATE, WINDOW = (
+    Law._fields.index(name) for name in ("log_kp", "log_gain", "rate", "mass", "late", "window")
+)
 
 
 def weights(law: Law, reading: Reading) -> np.ndarray:
@@ -62,11 +67,14 @@ class Problem:
     period: float
     reading: Reading
     log_gain: float = 0.0  # as expected
+    held: tuple[int, ...] = ()  # parameters that are as expected
 
     @property
     def spread(self) -> np.ndarray:
         """Standard deviations of what was expected."""
-        return SPREAD[: PARAMETERS[self.reading]]
+        spread = SPREAD[: PARAMETERS[self.reading]].copy()
+        spread[list(self.held)] *= NONE
+        return spread
 
     def residuals(self, point: np.ndarray, held: float = 1.0) -> np.ndarray:
         """Of the moments and of what was expected; `held` tightens the latter for times within rows."""
@@ -76,6 +84,11 @@ class Problem:
         """Derivative of the residuals."""
         return self._of_points(point[:, None] + 1j * TINY * np.eye(len(point)), held).imag / TINY
 
+    def inverse(self, point: np.ndarray) -> np.ndarray:
+        """That of the curvature of half the sum of squares."""
+        jacobian = self.jacobian(point)
+        return np.linalg.inv(jacobian.T @ jacobian)
+
     def _of_points(self, points: np.ndarray, held: float) -> np.ndarray:
         """The residuals at points [p, m] side by side, [q + p, m]."""
         law = Law(*points, *np.zeros((len(Law._fields) - len(points), points.shape[1])))
@@ -84,7 +97,7 @@ class Problem:
         expected = EXPECTED[: len(points)].copy()
         expected[LOG_GAIN] = self.log_gain
         departures = (points - expected[:, None]) / self.spread[:, None]
-        departures[INSTANTS:] /= held
+        departures[LATE:] /= held
         return np.concatenate([equation, departures])
 
     def minimise(self, start: np.ndarray, *, held: float = 1.0, steps: int = STEPS) -> tuple[np.ndarray, float]:
@@ -111,23 +124,22 @@ class Problem:
 
 
 class Solution(NamedTuple):
-    """The best point, its sum of squares, and the problem with the gain that the search started from.
-
-    `rival` is the best other minimum with its sum of squares, where the loops of the cascade change places.
-    """
+    """A minimum with its sum of squares, and the problem with the gain that the search started from."""
 
     problem: Problem
     point: np.ndarray
     cost: float
-    rival: tuple[np.ndarray, float] | None
 
 
-def solve(problem: Problem) -> Solution | None:
-    """Search from a grid; None where no positive gain agrees with the moments."""
+def solve(problem: Problem) -> list[Solution]:
+    """Search from a grid: the best point and, where the loops of the cascade may change places, the best other minimum;
+    none where no positive gain agrees with the moments.
+    """
     starts = _starts(problem)
     if not starts:
-        return None
+        return []
     problem = replace(problem, log_gain=float(starts[0][LOG_GAIN]))
+    starts = [np.where(np.isin(np.arange(len(start)), problem.held), 0.0, start) for start in starts]
     found = _finished(problem, [_minimise_twice(problem, start) for start in starts])
     best = min(found, key=_cost)
     # Where the following error vanishes on long strokes, u = K (s + kp) (s + rate) / s e but for the delay of the
@@ -139,7 +151,7 @@ def solve(problem: Problem) -> Solution | None:
         found = _finished(problem, found)
         best = min(found, key=_cost)
     others = [one for one in found if abs(one[0][LOG_KP] - best[0][LOG_KP]) > APART]
-    return Solution(problem, *best, min(others, key=_cost, default=None))
+    return [Solution(problem, *one) for one in [best, *sorted(others, key=_cost)[:1]]]
 
 
 def _cost(found: tuple[np.ndarray, float]) -> float:
@@ -172,7 +184,7 @@ def _starts(problem: Problem) -> list[np.ndarray]:
         minima = np.isfinite(costs) & (costs <= np.minimum(around[:-2], around[2:]))
         found += [(float(costs[k]), points[k]) for k in np.flatnonzero(minima)]
     found = sorted(found, key=lambda one: one[0])[:STARTS]
-    starts = [_closer(problem, float(start[LOG_KP]), float(start[INSTANTS:].sum())) for _, start in found]
+    starts = [_closer(problem, float(start[LOG_KP]), float(start[WINDOW : WINDOW + 1].sum())) for _, start in found]
     return starts + (_read_off(problem) if problem.reading is Reading.EVERY_SAMPLE else [])
 
 
@@ -185,7 +197,7 @@ def _read_off(problem: Problem) -> list[np.ndarray]:
     error, _, speed, _, acceleration, lag, summed_lag = _least(problem.regressors[None], problem.commands[:, 0])[0]
     if not (lag > 0 and error > 0):
         return []
-    return [np.array([np.log(error / lag), -speed / error, np.log(lag), summed_lag / lag, acceleration / lag])]
+    return [np.array([np.log(error / lag), -speed / error, np.log(lag), summed_lag / lag, acceleration / lag, 0.0])]
 
 
 def _closer(problem: Problem, log_kp: float, window: float) -> np.ndarray:
@@ -202,7 +214,7 @@ def _given(problem: Problem, kps: np.ndarray, window: float) -> tuple[np.ndarray
     """
 
     def columns(**changed: float) -> np.ndarray:
-        law = Law(np.log(kps), 0.0, 0.0, 0.0, 0.0, window)._replace(**changed)
+        law = Law(np.log(kps), 0.0, 0.0, 0.0, 0.0, window=window)._replace(**changed)
         return (problem.regressors @ coefficients(law, problem.period, problem.reading)).T
 
     command = problem.commands @ weights(Law(0.0, 0.0, 0.0, 0.0, 0.0), problem.reading)
@@ -233,7 +245,7 @@ def _given(problem: Problem, kps: np.ndarray, window: float) -> tuple[np.ndarray
         gain = np.where(linear[:, 0] > 0, linear[:, 0], 1.0)
         found_here = [np.log(kps), own[:, 0, 0], np.log(gain), linear[:, 1] / gain, linear[:, 2] / gain]
         points[better, :5] = np.stack(found_here, axis=1)[better]
-    points[:, INSTANTS] = window
+    points[:, WINDOW] = window
     return np.where(np.isfinite(best), costs, np.inf), points[:, : PARAMETERS[problem.reading]]
 
 
