@@ -17,7 +17,8 @@ from tuning.diagnosis.calibration import NAMES, calibrated
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.next_experiment import Experiment
 
-DEVIATIONS = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
+# how far the machine is from its file, but for the constant force
+DEVIATIONS = np.append(np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES) - 1), 0.0)
 AMONG = ("constant_force", "friction_asymmetry", "position_spring")  # the effects that such a log may show
 NO_EXPERIMENT = Experiment("", [], 0.0, "not asked")
 

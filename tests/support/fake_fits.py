@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tuning.diagnosis import explain, leftover
-from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.calibration import NAMES, tolerated
 
 SEARCHED = ("backlash", "compliance")
 
@@ -19,7 +19,7 @@ def fake_fit(*effects, evidence, strain=0.0, coarse=False):
     )
     model = SimpleNamespace(
         members=members, added=len(effects), coarse=coarse, coupled=coarse, possible=lambda u: True,
-        tolerance=0.02, logged=SimpleNamespace(loop_samples=1),
+        prior=tolerated(0.02), logged=SimpleNamespace(loop_samples=1),
     )  # fmt: skip
     return SimpleNamespace(model=model, evidence=evidence, cost=evidence, u=np.r_[strain, np.zeros(len(NAMES) - 1)])
 

@@ -7,11 +7,10 @@ from typing import Any, cast
 import numpy as np
 
 from diffdrive.effects.catalogue import EFFECTS
-from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import Directional
 from diffdrive.results import as_json as plain
 from diffdrive.support.spans import format_span
-from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.calibration import DELAY, FORCE, LOGARITHMS, NAMES
 from tuning.diagnosis.dependence_words import dependence_says, dependences_say
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.held_out import HIDDEN, closed
@@ -19,6 +18,7 @@ from tuning.diagnosis.intervals import deviations, parameters
 from tuning.diagnosis.ladder import Rung, known_floor
 from tuning.diagnosis.leftover import STRAINED, meant, strain
 from tuning.diagnosis.limit_words import limit_says, limits_say
+from tuning.diagnosis.model import Logged
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.verdict import Belief
 from tuning.identification.estimates import NORMAL
@@ -140,20 +140,24 @@ def _recalibrated(found: Diagnosis) -> Iterator[dict[str, object]]:
     if found.found.model.added:
         fits["with_effects"] = found.found
     spreads = {key: deviations(one) for key, one in fits.items()}
+    movable = np.any(found.found.model.prior != 0.0, axis=1)
     for k, parameter in enumerate(NAMES):
-        for name, nominal, unit in _nominal(found.logged.drive, parameter):
+        for name, nominal, unit in _nominal(found.logged, parameter) if movable[k] else ():
             row: dict[str, object] = {"parameter": name, "unit": unit, "drive_file": nominal}
             for key, one in fits.items():
-                at = one.u[k] + NORMAL * spreads[key][k] * np.array([0.0, -1.0, 1.0])
-                value, *interval = (nominal * np.exp(one.model.tolerance * at)).tolist()
+                by = one.model.calibration(one.u)[k] + NORMAL * spreads[key][k] * np.array([0.0, -1.0, 1.0])
+                value, *interval = (nominal + by if k >= LOGARITHMS else nominal * np.exp(by)).tolist()
                 row |= {key: value, f"{key}_interval": interval}
             yield row
 
 
-def _nominal(drive: Drive, parameter: str) -> list[tuple[str, float, str]]:
+def _nominal(logged: Logged, parameter: str) -> list[tuple[str, float, str]]:
     """Name, value and unit of a parameter of the calibration; both directions where it moves them together."""
+    if parameter == DELAY:
+        return [(parameter, logged.thinning * float(logged.delay), "control periods")]
+    drive = logged.drive
     field, _, side = parameter.partition(".")
-    owner = drive.plant if field == "mass" else drive.friction
+    owner = drive.plant if field in ("mass", FORCE) else drive.friction
     unit = next(one.metadata["quantity"].unit for one in dataclasses.fields(owner) if one.name == field)
     value = getattr(owner, field)
     if not isinstance(value, Directional):

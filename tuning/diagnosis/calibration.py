@@ -1,13 +1,23 @@
-"""What recalibration may move: the nominal parameters, each by its logarithm."""
+"""What recalibration may move: the nominal parameters, each by its logarithm, a constant force and a delay.
+
+Each machine may be off its drive file by a tolerance. What the file says of how well its parameters are known comes to
+that, with their correlations: a constant force that the logs hardly told from the friction of either direction is then
+no effect of the machine. Of a trace slower than its loop the instant of a row is known to a sample of the loop.
+"""
 
 import dataclasses
+from operator import attrgetter
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import Directional
+from diffdrive.model.uncertainty import Uncertainty
+from diffdrive.numerics.arrays import Scalar
 
+FORCE, DELAY = "constant_force", "delay"  # N and control periods; as the file has them, if nothing doubts that
 TOLERANCE = 0.02  # standard deviation of the logarithm of a nominal parameter
 NAMES = (
     "mass",
@@ -23,15 +33,57 @@ NAMES = (
     "viscous.negative",
     "bristle_stiffness",
     "bristle_damping",
+    FORCE,
+    DELAY,
 )
+LOGARITHMS = len(NAMES) - 2  # of which b has the logarithm; what it has of the others is added
+
+
+def tolerated(tolerance: float) -> Float[np.ndarray, "b b"]:
+    """The root of the covariance of b, in the order of `NAMES`, where each parameter has a tolerance of its own."""
+    return np.diag(np.where(np.arange(len(NAMES)) < LOGARITHMS, tolerance, 0.0))
+
+
+def prior_root(
+    drive: Drive, tolerance: float, uncertainty: Uncertainty | None = None, loop_samples: int = 1
+) -> Float[np.ndarray, "b b"]:
+    """The symmetric root of that covariance, of what the drive file says of how well it is known beside that, and of
+    the instant of rows that are each one of `loop_samples`: it is equally likely anywhere within one of these.
+    """
+    own = tolerated(tolerance)
+    if loop_samples > 1:
+        own[NAMES.index(DELAY), NAMES.index(DELAY)] = 1.0 / (np.sqrt(12.0) * loop_samples)
+    if uncertainty is None:
+        return own
+    share = np.zeros((len(NAMES), len(uncertainty.names)))
+    for k, (path, stated) in enumerate(zip(uncertainty.names, uncertainty.deviations, strict=True)):
+        part, _, name = path.partition(".")
+        for one in _meant(name):
+            value = 1.0 if stated.is_relative or one == FORCE else float(attrgetter(f"{part}.{one}")(drive))
+            share[NAMES.index(one), k] = stated.value / value
+    values, along = np.linalg.eigh(own @ own + share @ np.array(uncertainty.correlation) @ share.T)
+    return (along * np.sqrt(np.maximum(values, 0.0))) @ along.T
+
+
+def fraction_of_delay(drive: Drive) -> Scalar:
+    """Of a control period, beyond whole ones; a drive file need not say it."""
+    stated = drive.actuator.delay_fraction
+    return jnp.zeros(()) if stated is None else stated
+
+
+def _meant(name: str) -> list[str]:
+    """The numbers of the calibration that a parameter of a drive stands for: one that has no side, for both."""
+    return [one for one in NAMES if one == name or one.partition(".")[0] == name]
 
 
 def calibrated(drive: Drive, b: Float[Array, " b"]) -> Drive:
-    """The drive with its parameters, in the order of `NAMES`, times exp(b); damping goes with viscous friction.
+    """The drive with its parameters, in the order of `NAMES`, times exp(b); constant force and delay are b more.
+
+    Damping goes with viscous friction. The actuator's fraction of a delay may then be below zero.
 
     The Stribeck curve's exponent is a number then, if only 1, so that every hypothesis has the same numbers.
     """
-    factor = dict(zip(NAMES, jnp.exp(b), strict=True))
+    factor = dict(zip(NAMES, jnp.exp(b[:LOGARITHMS]), strict=False))
     plant, friction = drive.plant, drive.friction
 
     def scaled(pair: Directional, name: str) -> Directional:
@@ -40,7 +92,14 @@ def calibrated(drive: Drive, b: Float[Array, " b"]) -> Drive:
         return Directional(pair.positive * factor[f"{name}.positive"], pair.negative * factor[f"{name}.negative"])
 
     friction = dataclasses.replace(friction, stribeck_exponent=jnp.asarray(friction.exponent))
-    names = dict.fromkeys(name.split(".")[0] for name in NAMES[1:])
-    plant = dataclasses.replace(plant, mass=plant.mass * factor["mass"], damping=scaled(plant.damping, "viscous"))
+    names = dict.fromkeys(name.split(".")[0] for name in NAMES[1:LOGARITHMS])
+    plant = dataclasses.replace(
+        plant, mass=plant.mass * factor["mass"], damping=scaled(plant.damping, "viscous"),
+        constant_force=plant.constant_force + b[NAMES.index(FORCE)],
+    )  # fmt: skip
+    late = fraction_of_delay(drive) + b[NAMES.index(DELAY)]
     pairs: dict[str, PyTree] = {name: scaled(getattr(friction, name), name) for name in names}
-    return dataclasses.replace(drive, plant=plant, friction=dataclasses.replace(friction, **pairs))
+    return dataclasses.replace(
+        drive, plant=plant, friction=dataclasses.replace(friction, **pairs),
+        actuator=dataclasses.replace(drive.actuator, delay_fraction=late),
+    )  # fmt: skip

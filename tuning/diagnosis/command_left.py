@@ -21,6 +21,7 @@ from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.exposure import Exposure
 from tuning.diagnosis.fitting import Fitted, answered
 from tuning.diagnosis.gap import sliding
+from tuning.diagnosis.model import delay_of
 from tuning.diagnosis.verdict import Verdict
 
 TAPS = 5  # samples, the first of them one sooner than the delay that was found, if that is one or more
@@ -92,7 +93,7 @@ def _last_commands(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     """From one sample sooner than the delay that the model has, if that is one or more, to older ones."""
     logged = fitted.model.logged
     delays = [effect.delay for effect in fitted.model.effects(fitted.u) if isinstance(effect, LoopDelay)]
-    late = float(logged.delay) + sum(float(np.max(one)) for one in delays)
+    late = float(delay_of(logged, fitted.own)) + sum(float(np.max(one)) for one in delays)
     actuator, period = logged.drive.actuator, logged.sampling.period
     limited = cast(Array, saturate(actuator, logged.lanes.command))  # of an array, it is one
     command = jax.vmap(lambda requests: mean_forces(actuator, requests, period))(limited)

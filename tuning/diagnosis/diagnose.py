@@ -17,6 +17,7 @@ from diffdrive.effects.scale import LeadError
 from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive, Sampling, require_coulomb_friction
+from diffdrive.model.uncertainty import Uncertainty
 from diffdrive.numerics.arrays import as_arrays
 from diffdrive.support.rates import is_same_rate
 from tuning.diagnosis.calibration import TOLERANCE
@@ -124,15 +125,16 @@ def diagnose(
     tolerance: float = TOLERANCE,
     most_effects: int = MOST_EFFECTS,
     loop_samples: int = 1,
+    uncertainty: Uncertainty | None = None,
     store: Store | None = None,
     progress: Progress = lambda what, done, most: None,
 ) -> Diagnosis:
     """Find what a drive lacks to move as its logs do.
 
     `without` are effects that are not to be considered; `tolerance` is the standard deviation of the logarithm of each
-    nominal parameter; `most_effects` is how many are looked for, one after the other; a row of the logs is the first of
-    `loop_samples` of the control. Effects that the drive has stay
-    as they are. Finished searches are kept in the `store`, and taken from there when the diagnosis is begun again.
+    nominal parameter, to which comes what `uncertainty` says of them; `most_effects` is how many are looked for, one
+    after the other; a row of the logs is the first of `loop_samples` of the control. Effects that the drive has stay as
+    they are. Finished searches are kept in the `store`, and taken from there when the diagnosis is begun again.
     Raises `LogError` for a log without a long enough piece, and `ParameterError` for a drive that no filter can run and
     for effects that the catalogue has not.
     """
@@ -144,7 +146,7 @@ def diagnose(
     at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning, logged.starts)
     lacks = shortcomings(logged, at)
     progress("recalibrating", 0, 1)
-    base = recalibrated(fitter, tolerance, tuple(Member(*one) for one in given(effects, at)))
+    base = recalibrated(fitter, tolerance, tuple(Member(*one) for one in given(effects, at)), uncertainty)
     progress("recalibrating", 1, 1)
     catalogue = [one for one in candidates(at) if one.name not in without]
     hopeless = any(one.hopeless for one in lacks)

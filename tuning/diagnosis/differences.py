@@ -114,7 +114,7 @@ def by_numbers(
         for few, by in _in_blocks(ways, steps):
             us = u + np.eye(model.size)[few] * by[:, None]
             effects = stacked([model.apart(model.effects(one)) for one in us])
-            drives, acting = _machines(logged, model.tolerance * us[:, : len(NAMES)], effects, course)
+            drives, acting = _machines(logged, us[:, : len(NAMES)] @ model.prior, effects, course)
             found.append(np.asarray(_innovations(drives, acting, effects[1], logged, course, forces)))
         return _slope(found, np.asarray(track.innovation), steps, track, logged)
 

@@ -19,7 +19,6 @@ from diffdrive.effects.base import Effect
 from diffdrive.effects.stages import Effects
 from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import Drive
-from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.exposure import Exposure
 from tuning.diagnosis.fitting import Fitted
 from tuning.diagnosis.following import Process, deviance_of, follow
@@ -133,7 +132,7 @@ def evolved(
     others = dataclasses.replace(model, members=(*model.members[:index], *model.members[index + 1 :]))
     effects = others.effects(u[~model.of_member(index)])
     loose, within = others.apart(effects)
-    own, drive = machine(logged, jnp.asarray(model.tolerance * u[: len(NAMES)]), effects)
+    own, drive = machine(logged, jnp.asarray(model.calibration(u)), effects)
     free, level = candidate.parameters, float(coulomb(drive.friction, 1.0, 0.0))
 
     def values(share: Float[np.ndarray, " k"]) -> dict[str, Vector]:

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from diffdrive.effects.stages import Effects
 from diffdrive.model.parameters import Drive
-from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.calibration import DELAY, NAMES
 from tuning.diagnosis.curvature import limited, log_volume, solved
 from tuning.diagnosis.differences import by_numbers
 from tuning.diagnosis.exposure import Course, Exposure
@@ -152,7 +152,7 @@ class Fitter:
         """The hypothesis at u."""
         effects = model.effects(u)
         loose, coupled = model.apart(effects)
-        own, drive = machine(self.logged, jnp.asarray(model.tolerance * u[: len(NAMES)]), effects)
+        own, drive = machine(self.logged, jnp.asarray(model.calibration(u)), effects)
         acting = exposed(self.logged, own, loose, course)
         track = followed(drive, acting, coupled, Process(*jnp.asarray(process)), *self.given, course)
         cost = float(track.deviance) + float(u @ u)
@@ -190,19 +190,22 @@ class Fitter:
         """Of the residuals, [m, k]; what is not `free` may be left out."""
         logged, track, (residual, kept) = self.logged, point.track, self.residuals(point)
         if model.coupled:
-            wanted = np.flatnonzero(np.broadcast_to(free, model.size))
+            moves = np.r_[model.prior.any(axis=0), np.ones(len(model.slots), bool)]
+            wanted = np.flatnonzero(moves & (np.broadcast_to(free, model.size) != 0))
             found = by_numbers(model, point.u, point.process, track, point.course, wanted)
             return kept[:, None] * found
         linear = self.slopes(point) if linear is None else linear
-        effects, b = model.effects(point.u), jnp.asarray(model.tolerance * point.u[: len(NAMES)])
+        effects, b = model.effects(point.u), jnp.asarray(model.calibration(point.u))
         tangents, count = model.tangents(point.u)
         columns = machine_slopes(logged, b, effects, tangents if count else None)
-        columns = columns.at[:, : len(NAMES)].multiply(model.tolerance)
+        columns = columns.at[:, : len(NAMES)].set(columns[:, : len(NAMES)] @ model.prior)
         bend = None
-        if count:
+        if count or model.prior[NAMES.index(DELAY)].any():  # else nothing acts but the command, as it is
             first = exposure_by_machine(logged, b, effects, point.course)
+            bend = jax.tree.map(lambda a: a @ model.prior, first)
+        if count:
             then = exposure_slopes(logged, point.own, effects, tangents, point.course)
-            bend = jax.tree.map(lambda a, c: jnp.concatenate([model.tolerance * a, c], axis=-1), first, then)
+            bend = jax.tree.map(lambda a, c: jnp.concatenate([a, c], axis=-1), bend, then)
         found = np.asarray(answered(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period))
         return kept[:, None] * found.reshape(residual.size, -1)
 

@@ -27,7 +27,7 @@ from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.fitting import Fitted, Fitter, slopes_of
 from tuning.diagnosis.following import LASTING, LOST, Slopes, Track, answers, per_innovation
 from tuning.diagnosis.leftover import BLIND
-from tuning.diagnosis.model import Model, Vector, counted_in
+from tuning.diagnosis.model import Model, Vector, counted_in, delay_of
 from tuning.diagnosis.trust import share_lost
 from tuning.identification.replay import ReplayInputs, initial_loop_state, replay_inputs
 
@@ -136,15 +136,16 @@ def drive_of(fitted: Fitted, log: int) -> Drive:
     mine = jax.tree.map(lambda leaf: leaf[lane], fitted.model.effects(fitted.u))
     effects = [counted_in(one, 1.0 / thinning) for one in mine]
     apart = [one for one in effects if isinstance(one, LoopDelay) and not 0.0 <= one.delay <= LONGEST_DELAY]
-    late = thinning * float(fitted.model.logged.delay) + sum(float(one.delay) for one in apart)
-    own, stated = fitted.own, fitted.model.logged.drive.friction.stribeck_exponent
-    if apart:  # less delay than the drive file claims, or more than the effect can hold back
+    logged, own = fitted.model.logged, fitted.own
+    nominal, delay = thinning * float(logged.delay), thinning * float(delay_of(logged, own))
+    late, actuator = delay + sum(float(one.delay) for one in apart), logged.drive.actuator
+    if apart or delay != nominal:  # less delay than the drive file claims, or more than the effect can hold back
         whole, part = divmod(max(late, 0.0), 1.0)
-        own = dataclasses.replace(
-            own, actuator=dataclasses.replace(own.actuator, delay_samples=int(whole), delay_fraction=part)
-        )
-    friction = dataclasses.replace(own.friction, stribeck_exponent=stated)  # which every fit holds as a number
-    return dataclasses.replace(own, friction=friction, effects=tuple(one for one in effects if one not in apart))
+        actuator = dataclasses.replace(actuator, delay_samples=int(whole), delay_fraction=part)
+    # every fit holds the exponent as a number
+    friction = dataclasses.replace(own.friction, stribeck_exponent=logged.drive.friction.stribeck_exponent)
+    kept = tuple(one for one in effects if one not in apart)
+    return dataclasses.replace(own, friction=friction, actuator=actuator, effects=kept)
 
 
 @eqx.filter_jit
@@ -240,7 +241,7 @@ def uncoupled(fitter: Fitter, base: Fitted) -> Fitted:
     if not base.model.coupled:
         return base
     loose = tuple(one for one in base.model.members if not one.candidate.coupled)
-    model = Model(fitter.logged, loose, base.model.tolerance)
+    model = dataclasses.replace(base.model, logged=fitter.logged, members=loose)
     return fitter.fit(model, base.u, base.process, base.track.course, 0)
 
 

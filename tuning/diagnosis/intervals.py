@@ -38,7 +38,9 @@ Interval = tuple[Number, Number]
 
 
 def deviations(fitted: Fitted) -> Float[np.ndarray, " k"]:
-    """Standard deviations of what was fitted, in units of the prior: the curvature's, or the scores' where wider."""
+    """Standard deviations of what was fitted, the nominal parameters as `NAMES` has them and the others in units of
+    the prior: the curvature's, or the scores' where wider.
+    """
     model, jacobian = fitted.model, fitted.jacobian
     lanes, samples = model.logged.lanes.position.shape
     curved = solved(fitted.hessian, np.eye(jacobian.shape[1]))
@@ -46,7 +48,9 @@ def deviations(fitted: Fitted) -> Float[np.ndarray, " k"]:
     begins = np.arange(0, samples, max(1, round(BLOCK * model.logged.sampling.rate)))
     pieces = np.add.reduceat(scores, begins, axis=1).reshape(-1, jacobian.shape[1])
     scattered = curved @ (pieces.T @ pieces + np.eye(jacobian.shape[1])) @ curved  # the prior is a score of its own
-    return np.sqrt(np.maximum(np.diag(curved), np.diag(scattered)))
+    units = np.eye(len(curved))
+    units[: len(NAMES), : len(NAMES)] = model.prior
+    return np.sqrt(np.maximum(*(np.sum((units @ one) * units, axis=1) for one in (curved, scattered))))
 
 
 def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, Interval]]:

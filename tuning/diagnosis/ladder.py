@@ -4,6 +4,7 @@ The machine's parameters are fitted on some of the logs and carried over; those 
 registered anew on the others. Which samples those are, `splitting` says.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,6 @@ from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.fitting import NEAR, Fitted, Fitter
 from tuning.diagnosis.following import LOST, Track
 from tuning.diagnosis.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap, uncoupled
-from tuning.diagnosis.model import Model
 from tuning.diagnosis.splitting import Split, of_session, split, told
 from tuning.diagnosis.threads import in_parallel
 from tuning.diagnosis.trust import Forces, comparing, least_following
@@ -100,11 +100,11 @@ def climb(
     for number in range(found.best.model.added):
         one = found.rounds[number].fits[0]
         chain.append((f"+ {one.model.members[-1].candidate.name}", one))
-    believed = Model(test.logged, base.model.members, base.model.tolerance)
+    believed = dataclasses.replace(base.model, logged=test.logged)
     still = test.fit(believed, np.zeros(base.model.size), base.process, base.track.course, 0)
 
     def judged_by(one: Fitted) -> Fitted:
-        model = Model(train.logged, one.model.members, one.model.tolerance)
+        model = dataclasses.replace(one.model, logged=train.logged)
         # what is of the session that is held out stays, to be registered from there: without data it would drift away
         away = [log in parts.whole for _, _, log in model.slots]
         unknown = np.r_[[False] * len(NAMES), away] if parts.whole else of_session(model) & ~told(one, parts.train > 0)
@@ -112,9 +112,9 @@ def climb(
         session = np.array([0.0] * len(NAMES) + [float(log is not None) for _, _, log in model.slots])
         u = trained.u
         if parts.whole and session.any():
-            model = Model(there.logged, one.model.members, one.model.tolerance)
+            model = dataclasses.replace(one.model, logged=there.logged)
             u = there.fit(model, u, one.process, one.track.course, REGISTER, session).u
-        model = Model(test.logged, one.model.members, one.model.tolerance)
+        model = dataclasses.replace(one.model, logged=test.logged)
         return test.fit(model, u, one.process, one.track.course, 0)
 
     carried = in_parallel(judged_by, [one for _, one in chain])

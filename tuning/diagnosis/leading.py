@@ -1,5 +1,6 @@
 """Fits led on to where no more of it gains, along the ways that a fit alone does not find."""
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -75,7 +76,7 @@ def but_one(fitter: Fitter, one: Fitted, index: int) -> Fitted | None:
     """The fit without one of the effects that were added, from where it ended; None where that is no machine."""
     member = len(one.model.members) - one.model.added + index
     members = (*one.model.members[:member], *one.model.members[member + 1 :])
-    model = Model(one.model.logged, members, one.model.tolerance)
+    model = dataclasses.replace(one.model, members=members)
     fewer = fitter.fit(model, one.u[~one.model.of_member(member)], one.process, one.track.course)
     return next(iter(possible([to_its_end(fitter, fewer)])), None)
 

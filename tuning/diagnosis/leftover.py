@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.model.friction import coulomb
-from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.calibration import DELAY, FORCE, NAMES
 from tuning.diagnosis.fitting import MOST, Fitted, Fitter
 from tuning.diagnosis.following import LASTING
 from tuning.diagnosis.trust import least_trusted, lost_samples, lost_share
@@ -47,8 +47,9 @@ def lacking(fitter: Fitter, fitted: Fitted) -> float:
     least = np.minimum(fitted.process, relevant_forces(fitter, fitted))
     if fitter.logged.loop_samples > 1:
         there = fitter.at(fitted.model, fitted.u, fitted.process, fitted.track.course)
-        sudden = np.geomspace(fitter.least, MOST, UNTOLD)
-        least = fitter.with_process(there, fitted.model, np.stack([np.full(UNTOLD, least[0]), sudden], axis=1)).process
+        sudden = np.append(np.geomspace(fitter.least, MOST, UNTOLD), fitted.process[1])
+        any_sudden = np.stack([np.full(len(sudden), least[0]), sudden], axis=1)
+        least = fitter.with_process(there, fitted.model, any_sudden).process
     none, some = (fitter.at(fitted.model, fitted.u, one, fitted.track.course).cost for one in (least, fitted.process))
     return none - some if np.isfinite(none) and np.isfinite(some) else np.inf
 
@@ -130,9 +131,19 @@ def furthest(fitted: Fitted, among: Sequence[str] | None = None) -> str:
     among = among or meant(fitted)
     moved = _moved(fitted, among)
     k = int(np.abs(moved).argmax())
-    percent = 100.0 * np.expm1(fitted.model.tolerance * moved[k])
-    return f"{among[k]} had to be moved by {percent:+.1f} %, {abs(moved[k]):.1f} times its tolerance"
+    by = _moves(fitted, among)[0][k]
+    added = {FORCE: f"{by:+.3g} N", DELAY: f"{by:+.2g} control periods"}
+    much = added.get(among[k], f"{100.0 * np.expm1(by):+.1f} %")
+    return f"{among[k]} had to be moved by {much}, {abs(moved[k]):.1f} times its tolerance"
 
 
 def _moved(fitted: Fitted, among: Sequence[str]) -> Float[np.ndarray, " k"]:
-    return fitted.u[[NAMES.index(name) for name in among]]
+    """In standard deviations; what cannot move has none."""
+    moves, deviations = _moves(fitted, among)
+    return np.divide(moves, deviations, out=np.zeros_like(moves), where=deviations > 0.0)
+
+
+def _moves(fitted: Fitted, among: Sequence[str]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """How far the nominal parameters were moved, and their standard deviations before any log."""
+    prior, which = fitted.model.prior, [NAMES.index(name) for name in among]
+    return (prior @ fitted.u[: len(NAMES)])[which], np.sqrt(np.sum(prior**2, axis=1))[which]

@@ -20,7 +20,7 @@ from diffdrive.effects.base import Effect, Envelope
 from diffdrive.effects.transmission import Transmission
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar
-from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
+from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated, fraction_of_delay, tolerated
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.exposure import Course, Exposure, altered, exposure
 from tuning.diagnosis.following import numbers
@@ -95,11 +95,15 @@ class Member(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Model:
-    """A hypothesis about the machine of `logged`."""
+    """A hypothesis about the machine of `logged`; `prior` is `calibration.prior_root`."""
 
     logged: Logged
     members: tuple[Member, ...] = ()
-    tolerance: float = TOLERANCE
+    prior: Float[np.ndarray, "b b"] = dataclasses.field(default_factory=partial(tolerated, TOLERANCE))
+
+    def calibration(self, u: Vector) -> Vector:
+        """The b of the recalibrated drive."""
+        return self.prior @ u[: len(NAMES)]
 
     @property
     def slots(self) -> list[tuple[int, str, int | None]]:
@@ -236,8 +240,13 @@ def machine(logged: Logged, b: Float[Array, " b"], effects: tuple[Effect, ...]) 
     return own, altered(own, effects)
 
 
+def delay_of(logged: Logged, own: Drive) -> Scalar:
+    """That of a recalibrated drive, in samples of the logs."""
+    return logged.delay + (fraction_of_delay(own) - fraction_of_delay(logged.drive)) / logged.thinning
+
+
 def _acts(logged: Logged, own: Drive, effects: tuple[Effect, ...], course: Course) -> Exposure:
-    return exposure(own, effects, logged.delay, logged.lanes, course, logged.sampling, logged.starts)
+    return exposure(own, effects, delay_of(logged, own), logged.lanes, course, logged.sampling, logged.starts)
 
 
 @eqx.filter_jit

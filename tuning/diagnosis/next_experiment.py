@@ -27,7 +27,7 @@ from diffdrive.numerics.arrays import as_arrays
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import MOVING, drive_of
-from tuning.diagnosis.model import Logged, Member, Model, thinned
+from tuning.diagnosis.model import Logged, Model, thinned
 from tuning.diagnosis.verdict import Belief
 from tuning.diagnosis.where import SIGNIFICANT, Region
 from tuning.experiment_design.next_motion import ACCELERATION, available_limits, candidates
@@ -244,9 +244,7 @@ def _told(truth: Fitted, rival: Fitted, description: Axis, inputs: Inputs, steps
 
 def _alone(fitted: Fitted, logged: Logged) -> tuple[Model, np.ndarray]:
     """The model and its numbers on the first log alone."""
-    model = Model(
-        logged, tuple(Member(one.candidate, one.fixed) for one in fitted.model.members), fitted.model.tolerance
-    )
+    model = dataclasses.replace(fitted.model, logged=logged)
     kept = [log is None or log == 0 for _, _, log in fitted.model.slots]
     calibration = fitted.model.size - len(kept)
     return model, np.r_[fitted.u[:calibration], fitted.u[calibration:][kept]]

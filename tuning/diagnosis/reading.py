@@ -8,7 +8,9 @@ wherever the force changes: no effect of a machine explains that.
 A loop answers the noise of its encoder. What it answered at the row's own instant is logged; whether it answers so
 until the next row depends on how it measures its velocity. So the cubic goes through the commands without that noise
 (`command_noise`) or with it, whichever has the drive file's drive follow the logs more likely. What is in no row is a
-force of each row its own, as large as the likelihood has it, and no effect's: `leftover.lacking` allows it.
+force of each row its own, as large as the likelihood has it, and no effect's: `leftover.lacking` allows it. The
+instant of a row is known to a sample of its loop: recalibration moves it (`calibration.DELAY`), so that no effect is
+found that is but that.
 """
 
 import jax

@@ -5,6 +5,7 @@ along these, once the parameters that are free already have taken their part, is
 projection for each point of its grid, no fit (Rao's score test).
 """
 
+import dataclasses
 import operator
 from typing import NamedTuple
 
@@ -130,7 +131,7 @@ def _small_changes(
     bend = exposure_slopes(logged, fitted.drive, (effect,), (tangents,), course)
     columns = jnp.zeros((fitted.linear.machine.shape[-1], len(rows)))
     if issubclass(candidate.effect, MachineEffect):
-        b = jnp.asarray(fitted.model.tolerance * fitted.u[: len(NAMES)])
+        b = jnp.asarray(fitted.model.calibration(fitted.u))
         others = fitted.model.apart(fitted.model.effects(fitted.u))[0]
         still = jax.tree.map(lambda leaf: np.zeros((len(rows), *leaf.shape)), others)
         columns = machine_slopes(logged, b, (*others, effect), (*still, tangents))[:, len(NAMES) :]
@@ -242,7 +243,7 @@ def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None 
     """The model with one more effect; what the candidate leaves alone stays at `values`."""
     free = {one.name for one in candidate.parameters}
     fixed = tuple((name, float(value[0])) for name, value in (values or {}).items() if name not in free)
-    return Model(model.logged, (*model.members, Member(candidate, fixed)), model.tolerance)
+    return dataclasses.replace(model, members=(*model.members, Member(candidate, fixed)))
 
 
 def begin(model: Model, values: dict[str, Vector], member: int = -1) -> Vector:

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffdrive.errors import ParameterError
-from tuning.diagnosis.calibration import NAMES
+from diffdrive.model.uncertainty import Uncertainty
+from tuning.diagnosis.calibration import NAMES, prior_root
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.exposure import Course
 from tuning.diagnosis.fitting import MOST_STEPS, Fitted, Fitter, Point
@@ -63,13 +64,17 @@ def standing(logged: Logged) -> Course:
     return Course(logged.lanes.position, zero, zero, zero, zero)
 
 
-def recalibrated(fitter: Fitter, tolerance: float, members: tuple[Member, ...] = ()) -> Fitted:
+def recalibrated(
+    fitter: Fitter, tolerance: float, members: tuple[Member, ...] = (), uncertainty: Uncertainty | None = None
+) -> Fitted:
     """The nominal drive with nothing but its parameters adjusted, each within what its prior allows.
 
-    `members` are effects that the nominal drive has, with nothing free. Raises `ParameterError` for a drive that no
-    filter can run.
+    `members` are effects that the nominal drive has, with nothing free; `uncertainty` is what its file doubts. Raises
+    `ParameterError` for a drive that no filter can run.
     """
-    model = Model(fitter.logged, members, tolerance)
+    model = Model(
+        fitter.logged, members, prior_root(fitter.logged.drive, tolerance, uncertainty, fitter.logged.loop_samples)
+    )
     found = fitter.fit(model, np.zeros(model.size), None, standing(fitter.logged))
     if not np.isfinite(found.evidence):
         raise ParameterError(

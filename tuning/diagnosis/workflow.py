@@ -121,7 +121,7 @@ def diagnose(
     Method: docs/method/diagnosis-method.md; how often it is right: docs/evidence/diagnosis-proof.md.
 
     Args:
-        axis: What is believed of the machine, right to `tolerance`.
+        axis: What is believed of the machine, right to `tolerance` and to what its [uncertainty] says beside that.
         logs: One or several of `Log`, files, data frames or dicts of arrays [n], in both directions and at two speeds:
             every sample of the controller, or snapshots at the rate that the axis's trace states; or `CheckedLogs`,
             which are not looked over again.
@@ -168,7 +168,7 @@ def diagnose_checked(
     without = [*without, *unseen_effects(axis)]
     found = diagnose_drive(
         seen.drive, seen.controller, used.logs,
-        most_effects=most, without=without, loop_samples=axis.loop_samples, **more,
+        most_effects=most, without=without, loop_samples=axis.loop_samples, uncertainty=axis.uncertainty, **more,
     )  # fmt: skip
     return downgrade(found, used.fatal)
 

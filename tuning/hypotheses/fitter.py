@@ -5,6 +5,8 @@ effects that act on either need no filter of their own for each derivative: only
 taken where the cost itself falls, so the least is the same; the curvature there is this approximation's.
 """
 
+import dataclasses
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -24,7 +26,7 @@ class OneMassFitter(Fitter):
         if not (model.coupled and model.screw):
             return super().jacobian(model, point, linear, free)
         within = stepped_within(model)
-        loose = Model(model.logged, tuple(one for one in model.members if not one.candidate.coupled), model.tolerance)
+        loose = dataclasses.replace(model, members=tuple(one for one in model.members if not one.candidate.coupled))
         there = point._replace(u=point.u[~within])
         wanted = within & np.broadcast_to(np.asarray(free, bool), model.size)
         found = by_numbers(model, point.u, point.process, point.track, point.course, np.flatnonzero(wanted))

@@ -61,7 +61,7 @@ def with_second(found):
         for one in candidates(setting(logged.drive, logged.lanes, logged.sampling.period))
         if one.name == "friction_asymmetry"
     )
-    model = Model(logged, (*alone.model.members, Member(other)), alone.model.tolerance)
+    model = Model(logged, (*alone.model.members, Member(other)), alone.model.prior)
     u = np.r_[alone.u[:-1], alone.u[-1] + 0.5, 0.3, -0.2]
     joint = Fitter(logged).fit(model, u, alone.process, alone.track.course, most=0)
     first = found.verdict.beliefs[0]

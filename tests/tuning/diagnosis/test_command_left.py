@@ -102,7 +102,9 @@ def test_the_commands_are_those_that_act_by_the_model_and_the_one_before():
     both = logged_of(late.drive, [simulate_log(late, two_sines(0.8, 4000.0), seed=k) for k in (1, 2)])
     assert both.thinning == 2
     found = SimpleNamespace(
-        model=SimpleNamespace(effects=lambda u: (LoopDelay(np.array([1.6, 1.6])),), logged=both), u=None
+        model=SimpleNamespace(effects=lambda u: (LoopDelay(np.array([1.6, 1.6])),), logged=both),
+        u=None,
+        own=late.drive,
     )
     asked = command_left._last_commands(found)
     assert asked.shape == (*both.lanes.command.shape, TAPS)

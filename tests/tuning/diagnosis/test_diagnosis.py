@@ -22,7 +22,7 @@ from experiments.reports.report import Report
 from experiments.studies.withheld.score import score
 from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
 from tuning.diagnosis.beginnings import _window
-from tuning.diagnosis.calibration import NAMES, calibrated
+from tuning.diagnosis.calibration import NAMES, calibrated, tolerated
 from tuning.diagnosis.coverage import shortcomings
 from tuning.diagnosis.diagnose import _credible, _within, diagnose, logged_of
 from tuning.diagnosis.exposure import Course
@@ -37,7 +37,8 @@ from tuning.diagnosis.workflow import augmented_drive
 from tuning.experiment_design.next_motion import candidates
 from tuning.identification.shown_motion import Shortcoming
 
-OFF = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))  # how far the machine is from its file
+# how far the machine is from its file, but for the constant force
+OFF = np.append(np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES) - 1), 0.0)
 
 
 @cache
@@ -282,7 +283,9 @@ def test_a_log_that_cannot_tell_makes_every_cause_unsure():
 )
 def test_no_cause_is_sure_beside_a_number_that_cannot_be(name, moved, verdict):
     """What a sliding table tells; the bristle's numbers an effect before sliding may take over."""
-    best = SimpleNamespace(u=np.where(np.array(NAMES) == name, moved, 0.1), model=SimpleNamespace(tolerance=0.02))
+    best = SimpleNamespace(
+        u=np.where(np.array(NAMES) == name, moved, 0.1), model=SimpleNamespace(prior=tolerated(0.02))
+    )
     believed = Verdict("effect", [Belief("backlash", 0.9, True, 0, 500.0, None, [])], 0.0, "backlash explains the gap")
     judged = _credible(believed, best)
     assert judged.verdict == verdict

@@ -34,7 +34,7 @@ from tuning.diagnosis.search import (
 )
 from tuning.diagnosis.setting import setting
 
-HIDDEN = np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES))
+HIDDEN = np.append(np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES) - 1), 0.0)
 
 
 pytestmark = pytest.mark.long  # all but two begin with a recalibrated model: some seconds of tracing

@@ -164,7 +164,7 @@ def test_a_delay_that_is_claimed_and_not_there_is_found():
     fitter = Fitter(logs)
     at = setting(logs.drive, logs.lanes, 1.0 / RATE)
     candidate = next(one for one in candidates(at) if one.name == "loop_delay")
-    model = joined(Model(logs, (), TOLERANCE), candidate)
+    model = joined(Model(logs), candidate)
     u = np.r_[np.zeros(len(NAMES)), candidate.parameters[0].standard(-0.5)]
     fit = fitter.fit(model, u, None, standing(logs))
     assert candidate.parameters[0].value(fit.u[-1]) == pytest.approx(-1.0, abs=0.05)
@@ -185,7 +185,7 @@ def test_a_fast_log_is_thinned_and_its_delay_still_counted_in_control_periods():
     fitter = Fitter(logs)
     at = setting(logs.drive, logs.lanes, logs.sampling.period, logs.thinning)
     candidate = next(one for one in candidates(at) if one.name == "loop_delay")
-    model = joined(Model(logs, (), TOLERANCE), candidate)
+    model = joined(Model(logs), candidate)
     fit = fitter.fit(model, np.r_[np.zeros(len(NAMES)), 0.3], None, standing(logs))
     value, (low, high) = parameters(fit, 0)["delay"]
     assert value == pytest.approx(3.0, abs=0.02)
@@ -202,7 +202,7 @@ def test_a_lag_shorter_than_a_thinned_sample_is_measured():
     fitter = Fitter(logs)
     at = setting(logs.drive, logs.lanes, logs.sampling.period, logs.thinning)
     candidate = next(one for one in candidates(at) if one.name == "actuator_lag")
-    model = joined(Model(logs, (), TOLERANCE), candidate)
+    model = joined(Model(logs), candidate)
     values = {"time_constant": np.array([5e-4])}
     fit = fitter.fit(model, np.r_[np.zeros(len(NAMES)), begin(model, values)], None, standing(logs))
     value, (low, high) = parameters(fit, 0)["time_constant"]

@@ -9,7 +9,7 @@ import pytest
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.friction import AppliedLoad
 from tests.support.sound_log import DRIVE, simulate_log, two_sines
-from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.calibration import NAMES, tolerated
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.explain import Explanation
 from tuning.diagnosis.gap import ForceGap, LoopGap
@@ -23,7 +23,10 @@ RATE = 1000.0
 def rung(deviance, scatter=0.0, moved=1.0):
     """What the held-out logs say of a model, piece by piece, and how far it moves a nominal parameter."""
     pieces = deviance / 50 + scatter * np.random.default_rng(0).choice([-1.0, 1.0], 50) * (deviance != 0.0)
-    bare = SimpleNamespace(u=np.full(len(NAMES), moved), model=SimpleNamespace(members=(), coarse=False, coupled=False))
+    bare = SimpleNamespace(
+        u=np.full(len(NAMES), moved),
+        model=SimpleNamespace(members=(), coarse=False, coupled=False, prior=tolerated(0.02)),
+    )
     return SimpleNamespace(unlikely=pieces, fitted=bare)
 
 

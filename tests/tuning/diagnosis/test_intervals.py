@@ -36,7 +36,8 @@ def fitted(colour=0.0, seed=0, candidate=None, u=0.0, velocity=None, beside=()):
     named = candidate.parameters if candidate else ()
     slots = [(0, one.name, log) for one in named for log in (range(2) if one.session else [None])]
     model = SimpleNamespace(
-        logged=logged, slots=slots, members=[SimpleNamespace(candidate=one) for one in (candidate, *beside)],
+        logged=logged, slots=slots, prior=np.eye(len(NAMES)),
+        members=[SimpleNamespace(candidate=one) for one in (candidate, *beside)],
         values=lambda u: [{"edge": np.array([0.05, 0.05])} if candidate and candidate.effect is AppliedLoad else {}],
     )  # fmt: skip
     velocity = np.ones((LANES, SAMPLES)) if velocity is None else velocity
@@ -79,7 +80,8 @@ def test_an_amount_beside_such_an_effect_is_trusted_no_more_than_that_and_its_pe
     alone, beside = (parameters(fitted(candidate=tilt, u=0.7, beside=more), 0) for more in ((), (play,)))
     value, (low, high) = beside["force"]
     assert value == pytest.approx(7.0)
-    assert 0.5 * (high - low) == pytest.approx(1.96 * 0.1 * 7.0, rel=0.02)
+    trusted = np.hypot(1.96 * 0.1 * 7.0, 0.5 * np.ptp(alone["force"][1]))
+    assert 0.5 * (high - low) == pytest.approx(trusted, rel=0.01)
     assert np.ptp(alone["force"][1]) < 0.2 * (high - low)
     assert beside["period"] == alone["period"]
 

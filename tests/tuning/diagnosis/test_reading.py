@@ -8,7 +8,7 @@ from experiments.studies.recovery.excitation import identification_motion
 from experiments.studies.recovery.truth import truth_log
 from tests.support.known_machine import GAINS, MACHINE
 from tests.support.slow_trace import every
-from tuning.diagnosis.calibration import TOLERANCE
+from tuning.diagnosis.calibration import DELAY, NAMES, TOLERANCE
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.leftover import lacking
@@ -60,3 +60,11 @@ def test_a_sound_machine_seems_to_lack_a_force_in_rows_that_are_read_as_held(log
         base = recalibrated(fitter, TOLERANCE)
         missing.append(lacking(fitter, base))
     assert missing[1] < 0.2 * missing[0]
+
+
+@pytest.mark.long
+def test_the_instant_of_the_rows_is_recalibrated(log):
+    """Of a loop that is told wrong, five samples to a row in the place of four, it is a fortieth of a row late."""
+    base = recalibrated(Fitter(logged_of(MACHINE, [every(log, SAMPLES)], SAMPLES + 1)), TOLERANCE)
+    late = base.model.calibration(base.u)[NAMES.index(DELAY)]
+    assert late == pytest.approx(0.5 / SAMPLES - 0.5 / (SAMPLES + 1), abs=0.005)

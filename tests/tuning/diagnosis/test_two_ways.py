@@ -333,8 +333,6 @@ def test_an_effect_that_leaves_a_number_where_it_cannot_be_does_not_explain_how_
     monkeypatch.setattr(verdict, "complete", lambda *_: True)
     base = fake_fit(evidence=0.0, strain=17.0)
     gain = fake_fit("force_gain", evidence=-100.0, strain=left)
-    for one in (base, gain):
-        one.model.tolerance = 0.02
     told = verdict.judge(None, Explanation(base, [Round(base, [], [gain], 1, 0.0)], gain))
     assert told.verdict == says
     assert told.beliefs[0].confidence == (verdict.UNSURE if says == "unknown" else verdict.SUREST)
