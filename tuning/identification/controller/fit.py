@@ -97,9 +97,10 @@ def _birge(solution: Solution) -> float:
 
 def unlikelihood(solution: Solution, birge: float) -> float:
     """-2 log evidence of a minimum (Laplace), the noise of the moments being as large as they scatter."""
-    jacobian, spread = solution.problem.jacobian(solution.point), solution.problem.spread
-    volume = np.linalg.slogdet(jacobian.T @ jacobian)[1] + 2.0 * np.sum(np.log(spread))
-    return float(solution.cost / birge + volume)
+    problem, free = solution.problem, len(solution.point)
+    jacobian, residuals = problem.jacobian(solution.point), problem.residuals(solution.point)
+    volume = np.linalg.slogdet(jacobian.T @ jacobian)[1] + 2.0 * np.sum(np.log(problem.spread))
+    return float(np.sum(residuals[:-free] ** 2) / birge + np.sum(residuals[-free:] ** 2) + volume)
 
 
 def _left(several: Sequence[Equation] | Sequence[Condition], mix: np.ndarray, theta: np.ndarray) -> float:
