@@ -14,7 +14,7 @@ import numpy as np
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.leading import possible, renamed
+from tuning.diagnosis.leading import led_on, renamed
 from tuning.diagnosis.leftover import complete, relevant_forces
 from tuning.diagnosis.screening import TRIED, begin, joined
 from tuning.diagnosis.setting import Setting
@@ -72,7 +72,10 @@ def search(
     best, rounds = begun, list[Looked]()
     while len(rounds) < most:
         needed = _needed(begun, best)
-        looked = look(fitter, best, catalogue, at, needed, say)
+        looked = look(fitter, best, best.fitted, catalogue, at, say)
+        if rounds and best.fitted.model.coarse and not complete(fitter, best.fitted):
+            beside = _as_in_table(fitter, rounds[-1], best.fitted)
+            looked = min(looked, look(fitter, best, beside, catalogue, at, say), key=_unlikelihood)
         rounds.append(looked)
         if not looked.fits:
             break
@@ -82,6 +85,21 @@ def search(
             break
         best = other
     return Found(begun, rounds, best)
+
+
+def _unlikelihood(looked: Looked) -> float:
+    return looked.fits[0].evidence if looked.fits else np.inf
+
+
+def _as_in_table(fitter: Fitter, looked: Looked, best: Fitted) -> Fitted:
+    """The effect that was taken as it stood beside the functions, and nothing fitted without them.
+
+    A gap that a constant force holds to one side is right there. Fitted alone, it makes up for that force.
+    """
+    kind = best.model.members[-1].candidate.kind
+    entry = next(one for one in looked.entries if one.candidate.kind == kind)
+    u = np.r_[entry.rest, begin(best.model, entry.values)]
+    return fitter.fit(best.model, u, best.process, best.track.course, most=0)
 
 
 def _needed(base: Judged, best: Judged) -> float:
@@ -106,13 +124,13 @@ def judged(fitter: Fitter, fitted: Fitted, at: Setting) -> Judged:
 
 
 def look(
-    fitter: Fitter, before: Judged, catalogue: Sequence[Candidate], at: Setting, needed: float, say: Say
+    fitter: Fitter, before: Judged, start: Fitted, catalogue: Sequence[Candidate], at: Setting, say: Say
 ) -> Looked:
-    """One more effect."""
-    there = [member.candidate for member in before.fitted.model.members]
+    """One more effect, beside what `before` has, where `start` has that."""
+    there = [member.candidate for member in start.model.members]
     apart = [one for one in catalogue if not any(one.excludes(other) for other in there)]
-    under = trusting(fitter, before.fitted, TRUSTING)
-    table = table_of(under if np.isfinite(under.evidence) else before.fitted, at)
+    under = trusting(fitter, start, TRUSTING)
+    table = table_of(under if np.isfinite(under.evidence) else start, at)
     say("screening")
     logs = table.fitted.model.logged.logs
 
@@ -123,18 +141,18 @@ def look(
     ordered = sorted(apart, key=lambda one: not one.searched)  # what takes longest first
     found = _first_of_each(one for each in in_parallel(screened, ordered) for one in each)
     say("searching for screws")
-    screws = [one for one in _near(found, needed) if one.candidate.searched]
+    screws = [one for one in _near(found) if one.candidate.searched]
     found = _first_of_each([*in_parallel(lambda one: refined(fitter, table, one), screws), *found])
     say("fitting")
-    promising = sorted(_near(found, needed)[:FITTED], key=lambda one: not one.candidate.coupled)
-    fits = in_parallel(lambda one: fit_of(fitter, before.fitted, one), promising)
-    return Looked(before, found, possible(fits))
+    promising = sorted(_near(found)[:FITTED], key=lambda one: not one.candidate.coupled)
+    fits = in_parallel(lambda one: fit_of(fitter, start, one), promising)
+    return Looked(before, found, led_on(fitter, fits))
 
 
-def _near(found: Sequence[Entry], needed: float) -> list[Entry]:
+def _near(found: Sequence[Entry]) -> list[Entry]:
     """What may be as good as the best, once it is fitted."""
     best = max((one.evidence for one in found), default=0.0)
-    return [one for one in found if one.evidence > max(needed, NEAR * best)]
+    return [one for one in found if one.evidence > max(NEEDED, NEAR * best)]
 
 
 def _first_of_each(found: Iterable[Entry]) -> list[Entry]:

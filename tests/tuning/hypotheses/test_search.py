@@ -27,9 +27,9 @@ def test_of_each_effect_the_best_point_is_kept_and_of_these_what_may_be_as_good_
         [entry("cogging", 40.0), entry("lead_error", 900.0), entry("cogging", 300.0), entry("backlash", -np.inf)]
     )
     assert [(one.candidate.name, one.evidence) for one in found] == [("lead_error", 900.0), ("cogging", 300.0)]
-    assert [one.evidence for one in _near(found, NEEDED)] == [900.0, 300.0]
-    assert [one.evidence for one in _near(found, 400.0)] == [900.0]
-    assert _near([entry("cogging", 3.0)], NEEDED) == []
+    assert [one.evidence for one in _near(found)] == [900.0, 300.0]
+    assert [one.evidence for one in _near([*found, entry("backlash", 2000.0)])] == [900.0, 2000.0]
+    assert _near([entry("cogging", 3.0)]) == []
 
 
 def test_an_effect_throughout_and_one_that_comes_and_goes_are_both_fitted():
