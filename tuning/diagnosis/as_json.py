@@ -17,7 +17,7 @@ from tuning.diagnosis.held_out import HIDDEN, closed
 from tuning.diagnosis.intervals import deviations, parameters
 from tuning.diagnosis.ladder import Rung, known_floor
 from tuning.diagnosis.leftover import STRAINED, meant, strain
-from tuning.diagnosis.limit_words import limit_says, limits_say
+from tuning.diagnosis.limit_words import limit_says, limits_say, rivalry_says
 from tuning.diagnosis.model import Logged
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.verdict import Belief
@@ -60,6 +60,11 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "lacks": [one._asdict() for one in found.lacks],
         "detection_limits": [one._asdict() | {"says": limit_says(one)} for one in found.limits],
         "logs_would_show": limits_say(found.limits),
+        "hardly_told_apart": [
+            one.seen._asdict()
+            | {"rival": one.rival, "share": one.share, "told_apart": one.told, "says": rivalry_says(one)}
+            for one in found.alike
+        ],
         "left": None if found.left is None else [one._asdict() | {"says": dependence_says(one)} for one in found.left],
         "left_looks_like": "" if found.left is None else dependences_say(found.left, "What is left"),
         "next_experiment": {key: value for key, value in offer._asdict().items() if key != "reference"},

@@ -46,6 +46,27 @@ Products = Float[np.ndarray, "k k"]
 Labels = Sequence[tuple[Parameter, int | None]]  # of columns: a parameter, and of which log; None: of all
 
 
+class Answers(NamedTuple):
+    """How residuals move with amounts of an effect, a column each; `second` are those of a second encoder."""
+
+    labels: Labels
+    residuals: Float[np.ndarray, "n k"]
+    second: Float[np.ndarray, "m k"]
+
+
+class ByAmount(NamedTuple):
+    """An effect that is there by degrees: what answers it at usual values of its other numbers, and at unusual ones."""
+
+    candidate: Candidate
+    usual: Values
+    answers: list[Answers]
+
+    @property
+    def labels(self) -> Labels:
+        """Of the columns of any of them."""
+        return self.answers[0].labels
+
+
 class DetectionLimit(NamedTuple):
     """What the logs would show of an effect.
 
@@ -60,66 +81,107 @@ class DetectionLimit(NamedTuple):
     weakens: bool
 
 
+def small_amounts(fitter: Fitter, fitted: Fitted, catalogue: Sequence[Candidate]) -> list[ByAmount]:
+    """Answers to each effect that is there by degrees and that a fit has not, in the filter that allows it what counts
+    as nothing missing; none of a fit whose effect is stepped within the filter, where each would take one of its own.
+    """
+    fitted, logs = allowed(fitter, fitted), fitted.model.logged.logs
+    if fitted.model.coupled or not np.all(np.isfinite(fitted.hessian)):
+        return []
+    found = []
+    for candidate in others(fitted, catalogue):
+        if any(one.amplitude for one in candidate.parameters):
+            points = [usual_values(candidate, logs), *unusual_values(candidate, logs)]
+            found.append(ByAmount(candidate, points[0], [answers(fitter, fitted, candidate, at) for at in points]))
+    return found
+
+
+def allowed(fitter: Fitter, fitted: Fitted) -> Fitted:
+    """The fit in a filter that allows every model the force which counts as nothing missing."""
+    return fitter.under(fitted, np.maximum(fitted.process, relevant_forces(fitter, fitted)))
+
+
 def detection_limits(
-    fitter: Fitter, fitted: Fitted, catalogue: Sequence[Candidate], needed: float
+    fitter: Fitter, fitted: Fitted, catalogue: Sequence[Candidate], amounts: Sequence[ByAmount], needed: float
 ) -> list[DetectionLimit]:
     """Of each effect that a fit has not; `needed` is the evidence that one more must bring.
 
     None of a fit whose effect is stepped within the filter: there each number would take a filter of its own.
     """
-    if fitted.model.coupled:
+    fitted = allowed(fitter, fitted)
+    if fitted.model.coupled or not np.all(np.isfinite(fitted.hessian)):
         return []
-    fitted = fitter.under(fitted, np.maximum(fitted.process, relevant_forces(fitter, fitted)))
-    if not np.all(np.isfinite(fitted.hessian)):
-        return []
-    members = [member.candidate for member in fitted.model.members]
-    kinds = {one.kind: one for one in reversed(catalogue) if not any(one.excludes(other) for other in members)}
+    by_amount = {one.candidate.kind: one for one in amounts}
     limits: dict[tuple[str, str], DetectionLimit] = {}
-    for candidate in reversed(kinds.values()):
-        for one in _limits_of(fitter, fitted, candidate, needed):
+    for candidate in others(fitted, catalogue):
+        for one in _limits_of(fitter, fitted, candidate, by_amount.get(candidate.kind), needed):
             limits.setdefault((one.effect, one.parameter), one)
     return list(limits.values())
 
 
-def _limits_of(fitter: Fitter, fitted: Fitted, candidate: Candidate, needed: float) -> Iterator[DetectionLimit]:
-    if any(one.amplitude for one in candidate.parameters):
-        yield from _of_amplitudes(fitter, fitted, candidate, needed)
+def others(fitted: Fitted, catalogue: Sequence[Candidate]) -> list[Candidate]:
+    """One of each kind that a fit has not."""
+    members = [member.candidate for member in fitted.model.members]
+    kinds = {one.kind: one for one in reversed(catalogue) if not any(one.excludes(other) for other in members)}
+    return list(reversed(kinds.values()))
+
+
+def _limits_of(
+    fitter: Fitter, fitted: Fitted, candidate: Candidate, amounts: ByAmount | None, needed: float
+) -> Iterator[DetectionLimit]:
+    if amounts is not None:
+        yield from _of_amplitudes(fitter, fitted, amounts, needed)
     elif candidate.parameters:
         yield _of_sizes(fitter, fitted, candidate, needed)
 
 
-def _of_amplitudes(fitter: Fitter, fitted: Fitted, candidate: Candidate, needed: float) -> Iterator[DetectionLimit]:
+def _of_amplitudes(fitter: Fitter, fitted: Fitted, amounts: ByAmount, needed: float) -> Iterator[DetectionLimit]:
     """A limit for each amplitude, where the other numbers of the effect make it hardest to see."""
-    logs = fitted.model.logged.logs
-    points = [usual_values(candidate, logs), *unusual_values(candidate, logs)]
-    curvatures = [_curvature(fitter, fitted, candidate, values) for values in points]
+    candidate, curvatures = amounts.candidate, [curvature_of(fitted, one) for one in amounts.answers]
     known = {one.name: one for one in candidate.parameters}
-    for parameter, groups in amplitude_groups(curvatures[0][1]).items():
+    for parameter, groups in amplitude_groups(amounts.labels).items():
         sizes = [
-            _deviations(_gain_per_deviation(one, groups), needed + log_volume(one + np.eye(len(one))))
-            for one, _ in curvatures
+            deviations(gain_per_deviation(explained(one, one), groups), needed + volume(one)) for one in curvatures
         ]
         spread, worst = known[parameter].spread, max(sizes)
-        if not _alone(fitted, candidate, points[0], parameter, UNEXPECTED * spread):
+        if not is_alone(fitted, candidate, amounts.usual, parameter, UNEXPECTED * spread):
             continue
         size = max(spread * worst, candidate.least if parameter == WAVE[0] else 0.0)
-        yield _limit(fitter, candidate, parameter, size if worst <= UNEXPECTED else None)
+        yield limit_of(fitter, candidate, parameter, size if worst <= UNEXPECTED else None)
 
 
-def _curvature(fitter: Fitter, fitted: Fitted, candidate: Candidate, values: Values) -> tuple[Products, Labels]:
-    """Of the cost by the amplitudes of a candidate, in units of their priors, at values of its other numbers."""
+def answers(fitter: Fitter, fitted: Fitted, candidate: Candidate, values: Values) -> Answers:
+    """To the amplitudes of a candidate, in units of their priors, at values of its other numbers."""
     columns, labels = sensitivities(fitted, candidate, values)
-    curvature = reduced(fitted, columns).curvature
-    if fitter.twist is None or not candidate.twists:
-        return curvature, labels
+    if fitter.twist is None:
+        return Answers(labels, columns, np.zeros((0, len(labels))))
     logged, seen = fitted.model.logged, []
     there = foreseen(fitted.model.effects(fitted.u), fitted.track)
     for one, log in labels:
         here = np.array([one.spread if log in (None, k) else 0.0 for k in range(logged.logs)])
         effect = effect_in_lanes(candidate.effect, values | {one.name: here}, logged.owner)
-        seen.append(seen_by(fitter.twist, foreseen((effect,), fitted.track), there, logged.sampling.period))
-    beside = np.stack(seen, axis=1)
-    return curvature + beside.T @ beside, labels
+        twist = foreseen((effect,), fitted.track) if candidate.twists else 0.0 * there
+        seen.append(seen_by(fitter.twist, twist, there, logged.sampling.period))
+    return Answers(labels, columns, np.stack(seen, axis=1))
+
+
+def curvature_of(fitted: Fitted, one: Answers) -> Products:
+    """Of the cost by what is answered, once what is free has made way."""
+    return reduced(fitted, one.residuals).curvature + one.second.T @ one.second
+
+
+def volume(curvature: Products) -> float:
+    """Logarithm of the volume that the logs leave of the priors of amounts."""
+    return float(log_volume(curvature + np.eye(len(curvature))))
+
+
+def explained(shared: Products, own: Products) -> Products:
+    """What -2 log likelihood falls by, as a square of amounts of one effect, with another in its place.
+
+    `own` is the curvature of the other's amounts, and `shared` has the products of the first with them; of the effect
+    itself both are its curvature. Its prior takes its share.
+    """
+    return shared @ solved(own + np.eye(len(own)), shared.T)
 
 
 def usual_values(candidate: Candidate, logs: int) -> Values:
@@ -142,7 +204,7 @@ def _within(candidate: Candidate, name: str, value: float) -> bool:
     return all(low < value < high for bound, low, high in candidate.bounds if bound == name)
 
 
-def _alone(fitted: Fitted, candidate: Candidate, usual: Values, parameter: str, size: float) -> bool:
+def is_alone(fitted: Fitted, candidate: Candidate, usual: Values, parameter: str, size: float) -> bool:
     """Whether a candidate may be this amplitude alone, however large: a lead error is a wave, whatever else it is."""
     logs = fitted.model.logged.logs
     none = {one.name: np.zeros(logs) for one in candidate.parameters if one.amplitude}
@@ -160,9 +222,11 @@ def amplitude_groups(labels: Labels) -> dict[str, list[Group]]:
     return {name: list(each.values()) for name, each in groups.items()}
 
 
-def _gain_per_deviation(curvature: Products, groups: Sequence[Group]) -> float:
-    """Evidence of one deviation of the prior in every log alike; of a wave, at the phases that show least of it."""
-    gains = curvature @ solved(curvature + np.eye(len(curvature)), curvature)
+def gain_per_deviation(gains: Products, groups: Sequence[Group]) -> float:
+    """Evidence of one deviation of the prior in every log alike; of a wave, at the phases that show least of it.
+
+    `gains` are those of all amounts, as a square.
+    """
     every = [column for group in groups for column in group]
     gains = gains[np.ix_(every, every)]
     if len(every) == len(groups):
@@ -170,7 +234,7 @@ def _gain_per_deviation(curvature: Products, groups: Sequence[Group]) -> float:
     return len(groups) * float(np.linalg.eigvalsh(gains)[0])
 
 
-def _deviations(evidence: float, needed: float) -> float:
+def deviations(evidence: float, needed: float) -> float:
     """Size, in deviations of its prior, that brings the evidence that is needed."""
     return float(np.sqrt(max(needed, 0.0) / evidence)) if evidence > 0.0 else np.inf
 
@@ -191,7 +255,7 @@ def _of_sizes(fitter: Fitter, fitted: Fitted, candidate: Candidate, needed: floa
                 size = middle
             else:
                 weak = middle
-    return _limit(fitter, candidate, one.name, None if size is None else one.value(size))
+    return limit_of(fitter, candidate, one.name, None if size is None else one.value(size))
 
 
 def possible_sizes(candidate: Candidate) -> Vector:
@@ -249,7 +313,7 @@ def seen_from(gains: Float[np.ndarray, " k"], needed: float) -> int:
     return int(weak[-1]) + 1 if weak.size else 0
 
 
-def _limit(fitter: Fitter, candidate: Candidate, parameter: str, size: float | None) -> DetectionLimit:
+def limit_of(fitter: Fitter, candidate: Candidate, parameter: str, size: float | None) -> DetectionLimit:
     """In the units of the catalogue; delays in periods of the controller."""
     fields = {one.name: one.metadata["quantity"] for one in dataclasses.fields(EFFECTS[candidate.name])}
     per = float(fitter.logged.thinning) if candidate.effect is LoopDelay else 1.0

@@ -6,9 +6,11 @@ logs -> recalibrate -> screen, fit, judge -> ladder on held-out data -> where ->
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from scipy.stats import chi2
 
 from diffdrive.controllers import Controller, UnknownController
@@ -25,13 +27,14 @@ from tuning.diagnosis.candidates import candidates, given
 from tuning.diagnosis.command_left import doubted_by_command
 from tuning.diagnosis.coverage import shortcomings
 from tuning.diagnosis.dependence import Dependence, dependences
-from tuning.diagnosis.detection import DetectionLimit, detection_limits
+from tuning.diagnosis.detection import DetectionLimit, detection_limits, small_amounts
 from tuning.diagnosis.events import doubted_by_event
 from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, evidence_needed, explain
 from tuning.diagnosis.exposure import in_parts
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.gap import ForceGap, force_gap, force_noise, uncoupled
 from tuning.diagnosis.held_out import Closed, closed, closing, confirmed, left_in_loop, upheld
+from tuning.diagnosis.isolability import Rivalry, rivalries
 from tuning.diagnosis.ladder import Rung, climb, known_floor
 from tuning.diagnosis.laps import Laps, laps
 from tuning.diagnosis.leftover import LACKING, SLIDING, complete, credible, furthest
@@ -41,6 +44,7 @@ from tuning.diagnosis.search import Progress, Round, recalibrated
 from tuning.diagnosis.second_encoder import twist_of
 from tuning.diagnosis.setting import setting
 from tuning.diagnosis.splitting import Split
+from tuning.diagnosis.stages import Tell, of_gap, untold
 from tuning.diagnosis.trust import comparing
 from tuning.diagnosis.verdict import Verdict, judge
 from tuning.diagnosis.where import Region, localise
@@ -68,6 +72,7 @@ class Diagnosis:
     lacks: list[Shortcoming]
     laps: Laps | None  # where a reference repeats, and the missing force can be told
     limits: list[DetectionLimit]  # what the logs would have shown of each effect that was not found
+    alike: list[Rivalry]  # what they would have shown, and not told from another effect
     left: list[Dependence] | None  # what would explain what is left, the likeliest first; None: not looked for
 
     @property
@@ -128,13 +133,16 @@ def diagnose(
     uncertainty: Uncertainty | None = None,
     store: Store | None = None,
     progress: Progress = lambda what, done, most: None,
+    tell: Tell = untold,
 ) -> Diagnosis:
     """Find what a drive lacks to move as its logs do.
 
     `without` are effects that are not to be considered; `tolerance` is the standard deviation of the logarithm of each
     nominal parameter, to which comes what `uncertainty` says of them; `most_effects` is how many are looked for, one
     after the other; a row of the logs is the first of `loop_samples` of the control. Effects that the drive has stay as
-    they are. Finished searches are kept in the `store`, and taken from there when the diagnosis is begun again.
+    they are. Finished searches are kept in the `store`, and taken from there when the diagnosis is begun again. What is
+    known on the way is told by `tell`.
+
     Raises `LogError` for a log without a long enough piece, and `ParameterError` for a drive that no filter can run and
     for effects that the catalogue has not.
     """
@@ -148,9 +156,12 @@ def diagnose(
     progress("recalibrating", 0, 1)
     base = recalibrated(fitter, tolerance, tuple(Member(*one) for one in given(effects, at)), uncertainty)
     progress("recalibrating", 1, 1)
+    lead = next((float(one.lead) for one in drive.effects if isinstance(one, LeadError)), None)
+    early = _lacking_force(fitter, base)
+    tell(of_gap(early.gap, early.floor, complete(fitter, base), _located(logged, early, lead, ())))
     catalogue = [one for one in candidates(at) if one.name not in without]
     hopeless = any(one.hopeless for one in lacks)
-    found = Explanation(base, [], base) if hopeless else explain(fitter, base, catalogue, progress, most_effects)
+    found = Explanation(base, [], base) if hopeless else explain(fitter, base, catalogue, progress, most_effects, tell)
     progress("judging on held-out data", 0, 1)
     rungs, parts = climb(fitter, found, list(logs), None if isinstance(controller, UnknownController) else controller)
     sought, (found, rungs) = found, upheld(found, rungs)
@@ -164,27 +175,47 @@ def diagnose(
         verdict = verdict.and_says(f"{last} was withdrawn, since the held-out data are predicted worse with it")
     if without:
         verdict = verdict.and_says(f"not looked for: {', '.join(without)}")
-    base = found.base  # the search may have led the recalibration further
-    trusting = comparing(fitter, base)
-    gap = force_gap(fitter, base, base.model, base.u, trusting)
-    where = localise(
-        gap,
-        logged.lanes,
-        logged.owner,
-        logged.sampling.rate,
-        starts=logged.starts,
-        noise=force_noise(fitter, uncoupled(fitter, base), trusting),
-        lead=next((float(one.lead) for one in drive.effects if isinstance(one, LeadError)), None),
-        others=_subsystems(found, verdict.unexplained),
-    )
+    lacking = early if found.base is base else _lacking_force(fitter, found.base)  # it may have been led further
+    where, gap = _located(logged, lacking, lead, _subsystems(found, verdict.unexplained)), lacking.gap
     progress("judging on held-out data", 1, 1)
     progress("finding what these logs would show", 0, 1)
     searched = bool(most_effects) and not hopeless
-    limits = detection_limits(fitter, found.best, catalogue, _needed(fitter, found)) if searched else []
+    needed = _needed(fitter, found)
+    amounts = small_amounts(fitter, found.best, catalogue) if searched else []
+    limits = detection_limits(fitter, found.best, catalogue, amounts, needed) if searched else []
+    alike = rivalries(fitter, found.best, amounts, needed)
     left = dependences(fitter, found.best, at) if searched and _is_lacking(fitter, found, verdict) else None
     progress("finding what these logs would show", 1, 1)
     again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.told else None
-    return Diagnosis(logged, found, verdict, [*where, *_signals(rungs)], gap, rungs, parts, lacks, again, limits, left)
+    return Diagnosis(
+        logged, found, verdict, [*where, *_signals(rungs)], gap, rungs, parts, lacks, again, limits, alike, left
+    )
+
+
+class _Lacking(NamedTuple):
+    """The force that a drive lacks along the logs, and what noise alone would make of a model that lacks nothing."""
+
+    gap: ForceGap
+    noise: Float[np.ndarray, "lanes n draws"]  # N
+
+    @property
+    def floor(self) -> float:
+        """Root mean square (N) of the noise, over the samples that count."""
+        counts = self.gap.counts[..., None]
+        return float(np.sqrt(np.sum(self.noise**2 * counts) / max(self.noise.shape[-1] * counts.sum(), 1.0)))
+
+
+def _lacking_force(fitter: Fitter, base: Fitted) -> _Lacking:
+    trusting = comparing(fitter, base)
+    gap = force_gap(fitter, base, base.model, base.u, trusting)
+    return _Lacking(gap, force_noise(fitter, uncoupled(fitter, base), trusting))
+
+
+def _located(logged: Logged, lacking: _Lacking, lead: float | None, others: Sequence[Region]) -> list[Region]:
+    return localise(
+        lacking.gap, logged.lanes, logged.owner, logged.sampling.rate,
+        starts=logged.starts, noise=lacking.noise, lead=lead, others=others,
+    )  # fmt: skip
 
 
 def _is_lacking(fitter: Fitter, found: Explanation, verdict: Verdict) -> bool:

@@ -27,6 +27,7 @@ from tuning.diagnosis.leftover import (
 )
 from tuning.diagnosis.model import Vector
 from tuning.diagnosis.search import Progress, Round, apart_from, first_of_each, look, whole
+from tuning.diagnosis.stages import Tell, of_round, untold
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
@@ -102,6 +103,7 @@ class _Search:
     fitter: Fitter
     progress: Progress
     most: int
+    tell: Tell = untold
 
     def left(self, base: Fitted, one: Fitted) -> float:
         """The share of the gap that a fit leaves."""
@@ -126,7 +128,9 @@ class _Search:
         elif self.over(base, before):
             catalogue = [one for one in catalogue if one.unseen or (one.twists and self.fitter.twist is not None)]
         known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
-        return look(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
+        found = look(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
+        self.tell(of_round(self.weighed(base, found)))
+        return found
 
     def ended(self, base: Fitted, best: Fitted) -> bool:
         """Whether nothing at all is looked for beside what was found. An error of the scale is, but not beside what is
@@ -251,16 +255,21 @@ class _Search:
 
 
 def explain(
-    fitter: Fitter, base: Fitted, catalogue: Sequence[Candidate], progress: Progress, most: int = MOST_EFFECTS
+    fitter: Fitter,
+    base: Fitted,
+    catalogue: Sequence[Candidate],
+    progress: Progress,
+    most: int = MOST_EFFECTS,
+    tell: Tell = untold,
 ) -> Explanation:
-    """Effects one after the other, as long as another is worth it, up to `most`.
+    """Effects one after the other, as long as another is worth it, up to `most`; each search is told.
 
     Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far, what a second
     encoder saw, or what passes for noise of the scale. What is found is led to its best. Where something is missing
     then, the search goes a second way, a rival of the first effect in front, beside which only what was found is looked
     for. Where that ends better, everything is; the other end is kept as a rival.
     """
-    search = _Search(fitter, progress, most)
+    search = _Search(fitter, progress, most, tell)
     found = search.to_its_best(search.onward(base, [], base, catalogue), catalogue)
     first = _other_first(found)
     if first is None or search.over(found.base, found.best):

@@ -7,6 +7,7 @@ from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.machine import AS_LOGARITHMS, FrictionShape
 from diffdrive.support.spans import rescaled
 from tuning.diagnosis.detection import DetectionLimit
+from tuning.diagnosis.isolability import Rivalry
 
 DIGITS = 2  # of a size: a limit is no measurement
 
@@ -16,6 +17,16 @@ def limit_says(limit: DetectionLimit) -> str:
     if limit.size is None:
         return f"{limit.parameter}: at no usual size"
     return f"{limit.parameter} {'up to' if limit.weakens else 'from'} {_sized(limit, limit.size)}"
+
+
+def rivalry_says(one: Rivalry) -> str:
+    """Up to which size an effect may be another, as in "cogging, amplitude from 0.2 N to 3 N, may be lead_error"."""
+    seen, told = one.seen, one.told
+    up_to = "" if told is None else f" to {_sized(seen, told)}"
+    return (
+        f"{seen.effect}, {seen.parameter} from {_sized(seen, seen.size or 0.0)}{up_to}, may be {one.rival}, which does "
+        f"{100.0 * one.share:.0f} % of the same"
+    )
 
 
 def limits_say(limits: Iterable[DetectionLimit]) -> str:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -28,6 +28,7 @@ from tuning.diagnosis.explain import MOST_EFFECTS
 from tuning.diagnosis.gap import drive_of
 from tuning.diagnosis.held_out import Closed
 from tuning.diagnosis.next_experiment import Experiment, next_experiment
+from tuning.diagnosis.stages import Stage, untold
 from tuning.diagnosis.verdict import UNSURE, Belief
 from tuning.identification.scale_noise import unstated_noise
 from tuning.progress import Progress, reporting
@@ -113,6 +114,7 @@ def diagnose(
     loads: Mapping[str, float] | None = None,
     resume: str | Path | None = None,
     progress: Progress | None = None,
+    on_stage: Callable[[Stage], None] | None = None,
     throw: bool = False,
 ) -> DiagnosisResult:
     """Find which unmodelled effects make an axis differ from its logs, and how far the gap shrinks with them.
@@ -131,6 +133,8 @@ def diagnose(
         loads: Force on the guides (N) by the log's file or name, where the log does not say it.
         resume: A folder where what is finished is kept: the same call continues from it.
         progress: Called with (stage, done, of how many).
+        on_stage: Called with what is known on the way, a `Stage`: its name, and what it says of the gap that
+            recalibration leaves, and of what each search finds. None of it is a verdict yet.
         throw: Raise an error where a log is so wrong that no cause was looked for.
 
     Raises:
@@ -151,7 +155,7 @@ def diagnose(
     with reporting(progress) as tell:
         found = diagnose_checked(
             axis, used, without=without, most_effects=most_effects, tolerance=tolerance, store=FolderStore.of(resume),
-            progress=tell,
+            progress=tell, tell=on_stage or untold,
         )  # fmt: skip
         tell("looking for the motion that would decide", 0, 1)
         offer = next_motion_of(axis, used, found)

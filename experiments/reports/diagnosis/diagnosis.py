@@ -67,6 +67,7 @@ def diagnose_logs(
             found = diagnose_checked(
                 description, checked,
                 without=without, tolerance=tolerance, most_effects=most_effects, store=parts, progress=progress,
+                tell=lambda stage: report.print(f"So far, {stage.name}: {stage.says}."),
             )  # fmt: skip
         if parts is not None and parts.hits:
             report.print(f"{parts.hits} finished parts of an interrupted diagnosis were used.")

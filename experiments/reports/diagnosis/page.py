@@ -91,6 +91,8 @@ def print_answers(report: Report, details: Details) -> None:
     if details["detection_limits"]:
         report.record("detection_limits", LIMITS, [_limit(one) for one in details["detection_limits"]])
         report.say(f"\n{details['logs_would_show']}.")
+    for one in details["hardly_told_apart"]:
+        report.say(f"  {one['says']}")
     report.say(f"\nNext: {details['next_experiment']['says']}")
 
 
@@ -195,9 +197,10 @@ def _logs_would_show(details: Details) -> str:
     limits = details["detection_limits"]
     if not limits:
         return ""
-    return "<h2>What else would these logs show?</h2>" + _table(
-        LIMITS, [_limit(one) for one in limits], LIMIT, words=True
-    )
+    shown = _table(LIMITS, [_limit(one) for one in limits], LIMIT, words=True)
+    alike = "".join(f"<li>{_html(one['says'])}</li>" for one in details["hardly_told_apart"])
+    told = f"<p>Seen, but not told apart:</p><ul>{alike}</ul>" if alike else ""
+    return f"<h2>What else would these logs show?</h2>{shown}{told}"
 
 
 def _limit(one: Details) -> Row:

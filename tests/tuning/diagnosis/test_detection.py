@@ -13,10 +13,11 @@ from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.detection import (
     AMPLITUDE,
     DetectionLimit,
-    _gain_per_deviation,
     amplitude_groups,
     detection_limits,
+    gain_per_deviation,
     gains_at,
+    small_amounts,
 )
 from tuning.diagnosis.leftover import LACKING, relevant_forces
 from tuning.diagnosis.limit_words import limit_says, limits_say
@@ -38,8 +39,12 @@ def sound():
 @pytest.fixture(scope="module")
 def limits(sound):
     fitter, base = sound
-    found = detection_limits(fitter, base, catalogue(fitter, base), LACKING)
+    found = limits_of(fitter, base, catalogue(fitter, base))
     return {(one.effect, one.parameter): one for one in found}
+
+
+def limits_of(fitter, fitted, several, needed=LACKING):
+    return detection_limits(fitter, fitted, several, small_amounts(fitter, fitted, several), needed)
 
 
 def usual(fitter, base):
@@ -131,7 +136,7 @@ def test_a_scale_s_wave_is_not_claimed_below_what_its_counts_pass_for(sound, lim
 def test_more_evidence_needed_is_a_larger_size_by_its_root(sound):
     fitter, base = sound
     few = [one for one in catalogue(fitter, base) if one.name in ("constant_force", "viscous_drift")]
-    small, large = (detection_limits(fitter, base, few, needed) for needed in (1e4, 4e4))
+    small, large = (limits_of(fitter, base, few, needed) for needed in (1e4, 4e4))
     for one, other in zip(small, large, strict=True):
         if other.size is not None:
             assert other.size == pytest.approx(2.0 * one.size, rel=0.01)
@@ -143,8 +148,8 @@ def test_neither_what_a_fit_has_nor_what_has_nothing_to_tell_has_a_limit(sound):
     force = candidate_of(sound, "constant_force")
     model = joined(base.model, force)
     fit = fitter.fit(model, np.r_[base.u, 0.1], base.process, base.track.course, most=0)
-    assert detection_limits(fitter, fit, [force, force._replace(parameters=(), effect=ForceGain)], LACKING) == []
-    assert detection_limits(fitter, base, [], LACKING) == []
+    assert limits_of(fitter, fit, [force, force._replace(parameters=(), effect=ForceGain)]) == []
+    assert limits_of(fitter, base, []) == []
 
 
 def candidate_of(sound, name):
@@ -164,21 +169,21 @@ def test_what_is_free_makes_way_as_in_a_joint_fit():
     np.testing.assert_allclose(-found.wanted - found.way @ joint[4:], joint[:4], rtol=1e-9)
 
 
-def test_a_wave_is_gain_per_deviation_the_phases_that_show_least_of_it_and_what_is_alike_in_all_logs_by_its_sum():
+def test_a_wave_is_told_at_the_phases_that_show_least_of_it_and_what_is_alike_in_all_logs_by_its_sum():
     amplitude = Parameter("mean", 0.0, 1.0, session=True, amplitude=True)
     waves = [amplitude._replace(name=name) for name in ("cosine", "sine", "cosine2")]
     labels = [(one, log) for one in waves for log in (0, 1)]
     assert amplitude_groups(labels) == {"cosine": [[0, 2], [1, 3]]}
     assert amplitude_groups([(amplitude, 0), (amplitude, 1)]) == {"mean": [[0], [1]]}
     curvature = 1e6 * np.array([[1.0, -0.9], [-0.9, 1.0]])
-    assert _gain_per_deviation(curvature, [[0], [1]]) == pytest.approx(
+    assert gain_per_deviation(curvature, [[0], [1]]) == pytest.approx(
         0.2e6, rel=1e-3
     )  # alike in both: they take from each other
     both = 1e6 * np.diag([4.0, 4.0, 9.0, 9.0])
-    assert _gain_per_deviation(both, [[0, 2], [1, 3]]) == pytest.approx(2 * 4e6, rel=1e-3)
+    assert gain_per_deviation(both, [[0, 2], [1, 3]]) == pytest.approx(2 * 4e6, rel=1e-3)
     for phase in np.linspace(0.0, np.pi, 7):
         way = np.array([np.cos(phase), np.cos(phase), np.sin(phase), np.sin(phase)])
-        assert way @ both @ way >= 0.999 * _gain_per_deviation(both, [[0, 2], [1, 3]])
+        assert way @ both @ way >= 0.999 * gain_per_deviation(both, [[0, 2], [1, 3]])
 
 
 def test_what_a_second_encoder_would_see_is_what_its_likelihood_falls_by():
