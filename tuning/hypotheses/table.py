@@ -53,8 +53,9 @@ class Table:
         scales = SCALES if corners else np.ones(1)
         self.units = [np.r_[np.ones(self.free), np.full(corners, scale)] for scale in scales]
         found = [np.linalg.eigh(products * unit[:, None] * unit + np.eye(unit.size)) for unit in self.units]
-        self.bent, self.along = [np.maximum(bent, 1.0) for bent, _ in found], [along for _, along in found]
-        self.volumes: ByScale = np.array([np.sum(np.log(bent)) for bent in self.bent])
+        self.eigenvalues = [np.maximum(values, 1.0) for values, _ in found]
+        self.eigenvectors = [vectors for _, vectors in found]
+        self.volumes: ByScale = np.array([np.sum(np.log(values)) for values in self.eigenvalues])
         self.here = self._whitened(self._slope(fitted.residual))
         self.alone = self._evidences(self.here)
         self.evidence = integrated(self.alone)  # of the functions and a step of what is free, over neither
@@ -67,8 +68,8 @@ class Table:
     def _whitened(self, right: Float[np.ndarray, "k ..."]) -> list[Float[np.ndarray, "k ..."]]:
         """H^-1/2 of it, at each scale."""
         return [
-            ((along.T @ (right.T * unit).T).T / np.sqrt(bent)).T
-            for bent, along, unit in zip(self.bent, self.along, self.units, strict=True)
+            ((vectors.T @ (right.T * unit).T).T / np.sqrt(values)).T
+            for values, vectors, unit in zip(self.eigenvalues, self.eigenvectors, self.units, strict=True)
         ]
 
     def _evidences(self, whitened: Sequence[Vector]) -> ByScale:
@@ -77,8 +78,10 @@ class Table:
     def _moved(self, whitened: Sequence[Vector], weights: ByScale) -> Vector:
         """By how much what is free makes way."""
         steps = [
-            -unit * (along @ (one / np.sqrt(bent)))
-            for one, along, bent, unit in zip(whitened, self.along, self.bent, self.units, strict=True)
+            -unit * (vectors @ (one / np.sqrt(values)))
+            for one, vectors, values, unit in zip(
+                whitened, self.eigenvectors, self.eigenvalues, self.units, strict=True
+            )
         ]
         return np.einsum("s,sk->k", weights, np.array(steps))[: self.free]
 
@@ -97,11 +100,11 @@ class Table:
         slopes = [right - one.T @ here for one, here in zip(cross, self.here, strict=True)]
         found = []
         for block in blocks:
-            told = [
+            at_scales = [
                 _at_scale(curvature[block, block], slope[block])
                 for curvature, slope in zip(curvatures, slopes, strict=True)
             ]
-            every, amounts = self.alone + np.array([gain for gain, _ in told]), [amount for _, amount in told]
+            every, amounts = self.alone + np.array([gain for gain, _ in at_scales]), [amount for _, amount in at_scales]
             there = [here + one[:, block] @ by for here, one, by in zip(self.here, cross, amounts, strict=True)]
             weights = shares(every)
             amount = np.einsum("s,sk->k", weights, np.array(amounts))
@@ -111,9 +114,9 @@ class Table:
 
 def _at_scale(curvature: Float[np.ndarray, "n n"], slope: Vector) -> tuple[float, Vector]:
     """Evidence of some columns at one scale of the functions, and their amounts."""
-    bent, along = np.linalg.eigh(curvature + np.eye(slope.size))
-    bent, part = np.maximum(bent, 1.0), along.T @ slope
-    return float(np.sum(part**2 / bent) - np.sum(np.log(bent))), -along @ (part / bent)
+    values, vectors = np.linalg.eigh(curvature + np.eye(slope.size))
+    values, part = np.maximum(values, 1.0), vectors.T @ slope
+    return float(np.sum(part**2 / values) - np.sum(np.log(values))), -vectors @ (part / values)
 
 
 def integrated(evidences: ByScale) -> float:
@@ -159,9 +162,9 @@ def _by_amount(table: Table, candidate: Candidate, points: Sequence[Values]) -> 
     columns, labels = zip(*(by_amounts(table.fitted, candidate, values) for values in points), strict=True)
     ends = np.cumsum([one.shape[1] for one in columns])
     blocks = [slice(int(end) - one.shape[1], int(end)) for end, one in zip(ends, columns, strict=True)]
-    told = table.of_columns(np.concatenate(columns, axis=1), blocks)
+    gains = table.of_columns(np.concatenate(columns, axis=1), blocks)
     found = []
-    for values, of, (evidence, amounts, moved) in zip(points, labels, told, strict=True):
+    for values, of, (evidence, amounts, moved) in zip(points, labels, gains, strict=True):
         full = dict(values)
         for (one, log), amount in zip(of, amounts, strict=True):
             row = full.setdefault(one.name, np.zeros(table.fitted.model.logged.logs))
