@@ -33,7 +33,7 @@ class Axis(eqx.Module):
     """What a drive file holds: the drive, its controller, sampling, limits, how its logs read, and its data sheet.
 
     `name` is what reports call it. `uncertainty` is that of its parameters, as `identify` found it: `sweep` and `tune`
-    draw machines by it.
+    draw machines by it, and `diagnose` recalibrates by it.
 
     A pytree, so that it passes through `jit`, `grad` and `vmap`; no method changes it. The controller's model of the
     machine (its feed-forward, its observer's plant and friction) is the axis's own plant and friction, as in a file. A

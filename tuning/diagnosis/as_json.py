@@ -159,7 +159,7 @@ def _recalibrated(found: Diagnosis) -> Iterator[dict[str, object]]:
 def _nominal(logged: Logged, parameter: str) -> list[tuple[str, float, str]]:
     """Name, value and unit of a parameter of the calibration; both directions where it moves them together."""
     if parameter == DELAY:
-        return [(parameter, logged.thinning * float(logged.delay), "control periods")]
+        return [(parameter, float(logged.delay), "rows")]
     drive = logged.drive
     field, _, side = parameter.partition(".")
     owner = drive.plant if field in ("mass", FORCE) else drive.friction

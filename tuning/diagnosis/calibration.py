@@ -14,10 +14,10 @@ from jaxtyping import Array, Float, PyTree
 
 from diffdrive.model.parameters import Drive
 from diffdrive.model.quantity import Directional
-from diffdrive.model.uncertainty import Uncertainty
+from diffdrive.model.uncertainty import MAX_LOG_DEVIATION, Deviation, Uncertainty
 from diffdrive.numerics.arrays import Scalar
 
-FORCE, DELAY = "constant_force", "delay"  # N and control periods; as the file has them, if nothing doubts that
+FORCE, DELAY = "constant_force", "row_delay"  # N and rows; as the file has them, if nothing doubts that
 TOLERANCE = 0.02  # standard deviation of the logarithm of a nominal parameter
 NAMES = (
     "mass",
@@ -59,10 +59,21 @@ def prior_root(
     for k, (path, stated) in enumerate(zip(uncertainty.names, uncertainty.deviations, strict=True)):
         part, _, name = path.partition(".")
         for one in _meant(name):
-            value = 1.0 if stated.is_relative or one == FORCE else float(attrgetter(f"{part}.{one}")(drive))
-            share[NAMES.index(one), k] = stated.value / value
+            share[NAMES.index(one), k] = _deviation(one, float(attrgetter(f"{part}.{one}")(drive)), stated)
     values, along = np.linalg.eigh(own @ own + share @ np.array(uncertainty.correlation) @ share.T)
     return (along * np.sqrt(np.maximum(values, 0.0))) @ along.T
+
+
+def _deviation(name: str, value: float, stated: Deviation) -> float:
+    """Of a number of the calibration, as a share of a parameter's standard normal number.
+
+    A parameter that is zero has no logarithm, and stays. Beyond `MAX_LOG_DEVIATION` nothing but its sign is known.
+    """
+    if name == FORCE:
+        return stated.value * (abs(value) if stated.is_relative else 1.0)
+    if stated.is_relative or value == 0.0:
+        return stated.value if stated.is_relative else 0.0
+    return float(np.clip(stated.value / value, -MAX_LOG_DEVIATION, MAX_LOG_DEVIATION))
 
 
 def fraction_of_delay(drive: Drive) -> Scalar:

@@ -183,7 +183,7 @@ def diagnose(
     needed = _needed(fitter, found)
     amounts = small_amounts(fitter, found.best, catalogue) if searched else []
     limits = detection_limits(fitter, found.best, catalogue, amounts, needed) if searched else []
-    alike = rivalries(fitter, found.best, amounts, needed)
+    alike = rivalries(fitter, found.best, amounts, limits)
     left = dependences(fitter, found.best, at) if searched and _is_lacking(fitter, found, verdict) else None
     progress("finding what these logs would show", 1, 1)
     again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.told else None

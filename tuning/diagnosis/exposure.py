@@ -65,13 +65,17 @@ def exposure(
     course: Course,
     sampling: Sampling,
     starts: Float[Array, " lanes"],
+    ahead: float = 0.0,
 ) -> Exposure:
-    """What the effects, whose parameters are given for each lane, do along a course that starts at `starts` (s)."""
+    """What the effects, whose parameters are given for each lane, do along a course that starts at `starts` (s).
+
+    `ahead` is by how many samples a command may act before its row, as those of snapshots may.
+    """
     machine = altered(drive, effects)
     period = sampling.period
 
     def one(lane: Lanes, course: Course, effects: tuple[Effect, ...], start: Scalar) -> Exposure:
-        effects, asked = _asked(drive, effects, delay, lane, sampling)
+        effects, asked = _asked(drive, effects, delay, lane, sampling, ahead)
         parts = asked.shape[1]
 
         def step(states: tuple[PyTree, ...], at: PyTree) -> tuple[tuple[PyTree, ...], Exposure]:
@@ -108,7 +112,7 @@ def exposure(
 
 
 def _asked(
-    drive: Drive, effects: tuple[Effect, ...], delay: Scalar, lane: Lanes, sampling: Sampling
+    drive: Drive, effects: tuple[Effect, ...], delay: Scalar, lane: Lanes, sampling: Sampling, ahead: float
 ) -> tuple[tuple[Effect, ...], Float[Array, "n k"]]:
     """The force asked of the actuator in each part of each sample, and the effects that it has yet to meet.
 
@@ -123,7 +127,7 @@ def _asked(
     late = delay + sum(effect.delay for effect in effects if isinstance(effect, LoopDelay))
     limited = cast(Array, saturate(drive.actuator, asked.reshape(-1)))  # of an array, it is one
     answered = mean_forces(drive.actuator, limited, sampling.period / parts)
-    force = _held_back(answered, jnp.maximum(late, 0.0) * parts)
+    force = _held_back(answered, jnp.maximum(late, -ahead) * parts)
     return tuple(effect for effect in effects if not isinstance(effect, LoopDelay)), force.reshape(count, parts)
 
 

@@ -10,12 +10,11 @@ said which effects another motion would have to tell apart.
 Only effects that are there by degrees are compared: those whose residuals are linear in an amount.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from tuning.diagnosis.candidate import WAVE
 from tuning.diagnosis.detection import (
     UNEXPECTED,
     ByAmount,
@@ -27,15 +26,14 @@ from tuning.diagnosis.detection import (
     deviations,
     explained,
     gain_per_deviation,
-    is_alone,
     limit_of,
     volume,
 )
 from tuning.diagnosis.fitting import Fitted, Fitter
 from tuning.diagnosis.reduced import reduced
-from tuning.diagnosis.verdict import DECLARED
+from tuning.diagnosis.verdict import COLDEST, DECLARED, SOFT
 
-EXCLUDED = -2.0 * float(np.log(DECLARED))  # of -2 log likelihood, by which a rival is no alternative
+EXCLUDED = -float(np.log(DECLARED))  # temperatures of the verdict, by which a rival is no alternative
 
 
 class Rivalry(NamedTuple):
@@ -58,10 +56,12 @@ class _Columns(NamedTuple):
     at: slice
 
 
-def rivalries(fitter: Fitter, fitted: Fitted, amounts: Sequence[ByAmount], needed: float) -> list[Rivalry]:
-    """Of each effect that would be seen, and that another would explain as well up to a larger size.
+def rivalries(
+    fitter: Fitter, fitted: Fitted, amounts: Sequence[ByAmount], limits: Sequence[DetectionLimit]
+) -> list[Rivalry]:
+    """Of each effect that would be seen, by its limit, and that another would explain as well up to a larger size.
 
-    `amounts` are `detection.small_amounts` of the fit, and `needed` is the evidence that an effect must bring.
+    `amounts` are `detection.small_amounts` of the fit.
     """
     if not amounts:
         return []
@@ -74,42 +74,49 @@ def rivalries(fitter: Fitter, fitted: Fitted, amounts: Sequence[ByAmount], neede
     second = np.concatenate([one.second for one in every], axis=1)
     products = reduced(fitted, np.concatenate([one.residuals for one in every], axis=1)).curvature + second.T @ second
     usual = {id(one.effect): one for one in reversed(columns)}
-    return [one for effect in amounts for one in _of(fitter, fitted, usual[id(effect)], columns, products, needed)]
+    seen = {(one.effect, one.parameter): one for one in limits if one.size is not None}
+    return [one for effect in amounts for one in _of(fitter, usual[id(effect)], columns, products, seen)]
 
 
 def _of(
-    fitter: Fitter, fitted: Fitted, mine: _Columns, every: Sequence[_Columns], products: Products, needed: float
+    fitter: Fitter,
+    mine: _Columns,
+    every: Sequence[_Columns],
+    products: Products,
+    seen: Mapping[tuple[str, str], DetectionLimit],
 ) -> Iterator[Rivalry]:
     """Of each amplitude of an effect with its closest rival, where that hides something."""
-    candidate, own = mine.effect.candidate, products[mine.at, mine.at]
-    known, by_itself = {one.name: one for one in candidate.parameters}, explained(own, own)
+    candidate = mine.effect.candidate
+    known = {one.name: one for one in candidate.parameters}
     rivals = [one for one in every if one.effect.candidate.name != candidate.name]
     for parameter, groups in amplitude_groups(mine.effect.labels).items():
-        spread, least = known[parameter].spread, candidate.least if parameter == WAVE[0] else 0.0
-        seen = max(spread * deviations(gain_per_deviation(by_itself, groups), needed + volume(own)), least)
-        if seen > UNEXPECTED * spread or not is_alone(
-            fitted, candidate, mine.effect.usual, parameter, UNEXPECTED * spread
-        ):
-            continue
-        sizes = [spread * _told(products, mine, other, groups, by_itself) for other in rivals]
+        spread = known[parameter].spread
+        sizes = [spread * _told(products, mine, other, groups) for other in rivals]
         hardest = int(np.argmax(sizes)) if sizes else 0
-        if not sizes or sizes[hardest] <= seen:
+        told = limit_of(fitter, candidate, parameter, sizes[hardest] if sizes else None)
+        limit = seen.get((told.effect, told.parameter))
+        if limit is None or told.size is None or told.size <= (limit.size or 0.0):
             continue
-        told = sizes[hardest] if sizes[hardest] <= UNEXPECTED * spread else None
         yield Rivalry(
-            limit_of(fitter, candidate, parameter, seen),
+            limit,
             rivals[hardest].effect.candidate.name,
             _share(products, mine, rivals[hardest], groups),
-            limit_of(fitter, candidate, parameter, told).size,
+            told.size if sizes[hardest] <= UNEXPECTED * spread else None,
         )
 
 
-def _told(products: Products, mine: _Columns, other: _Columns, groups: Sequence[Group], by_itself: Products) -> float:
-    """The size, in deviations of its prior, from which on the other effect is excluded."""
-    theirs = products[other.at, other.at]
-    instead = explained(products[mine.at, other.at], theirs)
-    dearer = volume(products[mine.at, mine.at]) - volume(theirs)
-    return deviations(gain_per_deviation(by_itself - instead, groups), EXCLUDED + dearer)
+def _told(products: Products, mine: _Columns, other: _Columns, groups: Sequence[Group]) -> float:
+    """The size, in deviations of its prior, from which on the other effect is excluded.
+
+    The temperature of a verdict is a number, or a share of the evidence gained: both must be exceeded.
+    """
+    own, theirs = products[mine.at, mine.at], products[other.at, other.at]
+    by_itself, instead = explained(own, own), explained(products[mine.at, other.at], theirs)
+    dearer = volume(own) - volume(theirs)
+    return max(
+        deviations(gain_per_deviation(by_itself - instead, groups), EXCLUDED * COLDEST + dearer),
+        deviations(gain_per_deviation((1.0 - EXCLUDED * SOFT) * by_itself - instead, groups), dearer),
+    )
 
 
 def _share(products: Products, mine: _Columns, other: _Columns, groups: Sequence[Group]) -> float:

@@ -132,7 +132,7 @@ def furthest(fitted: Fitted, among: Sequence[str] | None = None) -> str:
     moved = _moved(fitted, among)
     k = int(np.abs(moved).argmax())
     by = _moves(fitted, among)[0][k]
-    added = {FORCE: f"{by:+.3g} N", DELAY: f"{by:+.2g} control periods"}
+    added = {FORCE: f"{by:+.3g} N", DELAY: f"{by:+.2g} rows"}
     much = added.get(among[k], f"{100.0 * np.expm1(by):+.1f} %")
     return f"{among[k]} had to be moved by {much}, {abs(moved[k]):.1f} times its tolerance"
 

@@ -246,7 +246,9 @@ def delay_of(logged: Logged, own: Drive) -> Scalar:
 
 
 def _acts(logged: Logged, own: Drive, effects: tuple[Effect, ...], course: Course) -> Exposure:
-    return exposure(own, effects, delay_of(logged, own), logged.lanes, course, logged.sampling, logged.starts)
+    ahead = 0.5 / logged.loop_samples if logged.loop_samples > 1 else 0.0
+    delay = delay_of(logged, own)
+    return exposure(own, effects, delay, logged.lanes, course, logged.sampling, logged.starts, ahead)
 
 
 @eqx.filter_jit

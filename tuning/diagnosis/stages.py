@@ -41,12 +41,16 @@ def of_gap(gap: ForceGap, floor: float, is_complete: bool, where: Sequence[Regio
 
 
 def of_round(looked: Round) -> Stage:
-    """The effects that explain most beside what was found before: in -2 log likelihood, less their price."""
+    """The effects that explain most beside what was found before: in -2 log likelihood, less their price; first the one
+    that the search goes on with.
+    """
     there = looked.before.model
     found = [one.candidate.name for one in there.members[len(there.members) - there.added :]]
-    name = f"beside {' and '.join(found)}" if found else "search"
+    name = f"search beside {' and '.join(found)}" if found else "search"
     gains = [(one.model.members[-1].candidate.name, looked.before.evidence - one.evidence) for one in looked.fits]
-    likely = [f"{effect} ({gain:.0f})" for effect, gain in gains[:LIKELY] if gain > looked.enough]
-    if not likely:
-        return Stage(name, "no effect explains more")
-    return Stage(name, f"in -2 log likelihood the most is explained by {', '.join(likely)}")
+    if not looked.worth_it:
+        return Stage(name, "no effect explains enough more")
+    first, *others = gains
+    likely = [first, *sorted((one for one in others if one[1] > looked.enough), key=lambda one: -one[1])]
+    says = ", ".join(f"{effect} (evidence {gain:.0f})" for effect, gain in likely[:LIKELY])
+    return Stage(name, f"best candidate{'s' if len(likely) > 1 else ''}: {says}")

@@ -14,7 +14,7 @@ import numpy as np
 from tuning.diagnosis.calibration import NAMES
 from tuning.diagnosis.candidate import Candidate
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.leading import led_on, renamed
+from tuning.diagnosis.leading import led_on, possible, renamed
 from tuning.diagnosis.leftover import complete, relevant_forces
 from tuning.diagnosis.screening import TRIED, begin, joined
 from tuning.diagnosis.setting import Setting
@@ -74,8 +74,8 @@ def search(
         needed = _needed(begun, best)
         looked = look(fitter, best, best.fitted, catalogue, at, say)
         if rounds and best.fitted.model.coarse and not complete(fitter, best.fitted):
-            beside = _as_in_table(fitter, rounds[-1], best.fitted)
-            looked = min(looked, look(fitter, best, beside, catalogue, at, say), key=_unlikelihood)
+            for beside in possible([_as_in_table(fitter, rounds[-1], best.fitted)]):
+                looked = min(looked, look(fitter, best, beside, catalogue, at, say), key=_unlikelihood)
         rounds.append(looked)
         if not looked.fits:
             break

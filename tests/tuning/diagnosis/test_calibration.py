@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import diffdrive as dd
-from diffdrive.model.uncertainty import Deviation, Uncertainty
+from diffdrive.model.uncertainty import MAX_LOG_DEVIATION, Deviation, Uncertainty
 from tuning.diagnosis.calibration import DELAY, FORCE, NAMES, calibrated, fraction_of_delay, prior_root, tolerated
 
 DRIVE = dd.paper_axis().drive
@@ -51,6 +51,33 @@ def test_what_the_drive_file_states_comes_to_the_tolerance_with_its_correlation(
     ways = at["viscous.positive"], at["viscous.negative"]  # one number in the drive file
     assert found[ways] == pytest.approx(0.05**2)
     assert found[at["bristle_damping"], at["bristle_damping"]] == pytest.approx(0.02**2)
+
+
+def axis_with(path, value):
+    return dd.paper_axis().replace({path: value}).drive
+
+
+def deviation_of(drive, path, name, stated):
+    found = covariance(prior_root(drive, 0.02, Uncertainty.of({path: stated})))
+    return np.sqrt(found[NAMES.index(name), NAMES.index(name)])
+
+
+def test_a_share_of_a_constant_force_is_one_of_its_newtons():
+    tilted = axis_with("plant.constant_force", -300.0)
+    assert deviation_of(tilted, "plant.constant_force", FORCE, Deviation(0.05)) == pytest.approx(15.0)
+
+
+@pytest.mark.parametrize(("value", "expected"), [(0.0, 0.0), (0.5, MAX_LOG_DEVIATION), (30.0, 0.1)])
+def test_newtons_of_a_gap_are_a_share_of_it_and_no_more_than_a_factor_that_can_be(value, expected):
+    """A gap that is none has no logarithm; one that is known worse than itself has an unknown size, not any."""
+    drive = axis_with("friction.breakaway_gap", value)
+    found = deviation_of(drive, "friction.breakaway_gap.positive", "breakaway_gap.positive", Deviation(3.0, False))
+    assert found == pytest.approx(np.hypot(expected, 0.02))
+
+
+def test_what_recalibration_does_not_move_is_no_part_of_it():
+    known = Uncertainty.of({"friction.initial_load": Deviation(0.3), "friction.stribeck_exponent": Deviation(0.3)})
+    np.testing.assert_allclose(prior_root(DRIVE, 0.02, known), tolerated(0.02), atol=1e-12)
 
 
 def test_recalibration_moves_parameters_by_factors_and_the_force_by_newtons():

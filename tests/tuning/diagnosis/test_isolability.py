@@ -7,10 +7,11 @@ import pytest
 
 from tests.support.perturbed_machine import catalogue, recalibrated_of
 from tuning.diagnosis import isolability
-from tuning.diagnosis.detection import Answers, ByAmount, DetectionLimit, small_amounts
-from tuning.diagnosis.isolability import EXCLUDED, Rivalry, _Columns, _share, _told
+from tuning.diagnosis.detection import Answers, ByAmount, DetectionLimit, detection_limits, small_amounts
+from tuning.diagnosis.isolability import Rivalry, _Columns, _share, _told
 from tuning.diagnosis.leftover import LACKING
 from tuning.diagnosis.limit_words import rivalry_says
+from tuning.diagnosis.verdict import COLDEST, DECLARED, SOFT
 
 ROWS = 500
 
@@ -29,19 +30,38 @@ def ridge(columns, residual):
     return float(residual @ np.linalg.solve(covariance, residual) + np.linalg.slogdet(covariance)[1])
 
 
-@pytest.mark.parametrize("alike", [0.5, 0.9, 0.999])
+def leads(mine, other, amounts):
+    """By how much the logs of a machine with these amounts speak for the first effect, over what excludes the second.
+
+    As the verdict has it: a share of the evidence that was gained, or a number.
+    """
+    residual = mine @ amounts
+    gained = float(residual @ residual) - ridge(mine, residual)
+    lead = ridge(other, residual) - ridge(mine, residual)
+    return lead - np.log(1.0 / DECLARED) * max(COLDEST, SOFT * gained)
+
+
+@pytest.mark.parametrize("alike", [0.5, 0.9])
 def test_an_effect_is_told_from_its_rival_from_the_size_on_at_which_that_is_excluded(alike):
     """Against the evidence of both, of a log that has the effect at that size and no noise."""
     rng = np.random.default_rng(3)
     mine, other = np.linalg.qr(rng.standard_normal((ROWS, 2)))[0].T
     mine, other = 40.0 * mine[:, None], 70.0 * (alike * mine + np.sqrt(1.0 - alike**2) * other)[:, None]
     products, first, second = of((mine, other))
-    own = products[first.at, first.at]
-    by_itself = isolability.explained(own, own)
-    size = _told(products, first, second, [[0]], by_itself)
-    residual = size * mine[:, 0]
-    assert ridge(other, residual) - ridge(mine, residual) == pytest.approx(EXCLUDED, rel=1e-6)
+    size = _told(products, first, second, [[0]])
+    assert leads(mine, other, [size]) == pytest.approx(0.0, abs=1e-6)
+    assert leads(mine, other, [0.99 * size]) < 0.0 < leads(mine, other, [1.01 * size])
     assert _share(products, first, second, [[0]]) == pytest.approx(alike**2)
+
+
+def test_a_rival_that_does_nearly_all_of_it_is_never_excluded():
+    """Since a model that is a little wrong in form loses a share of what it gains, however large that is."""
+    rng = np.random.default_rng(3)
+    mine, other = np.linalg.qr(rng.standard_normal((ROWS, 2)))[0].T
+    mine, other = 40.0 * mine[:, None], 70.0 * (0.98 * mine + np.sqrt(1.0 - 0.98**2) * other)[:, None]
+    products, first, second = of((mine, other))
+    assert _told(products, first, second, [[0]]) == np.inf
+    assert all(leads(mine, other, [size]) < 0.0 for size in np.geomspace(0.1, 1e4, 20))
 
 
 def test_a_wave_is_told_apart_at_the_phase_that_is_most_alike():
@@ -49,15 +69,11 @@ def test_a_wave_is_told_apart_at_the_phase_that_is_most_alike():
     cosine, sine, apart = 50.0 * np.linalg.qr(rng.standard_normal((ROWS, 3)))[0].T
     wave, other = np.stack([cosine, sine], axis=1), (0.8 * cosine + 0.6 * apart)[:, None]
     products, first, second = of((wave, other))
-    own = products[first.at, first.at]
-    size = _told(products, first, second, [[0, 1]], isolability.explained(own, own))
-    lead = [
-        ridge(other, size * (np.cos(phase) * cosine + np.sin(phase) * sine))
-        - ridge(wave, size * (np.cos(phase) * cosine + np.sin(phase) * sine))
-        for phase in np.linspace(0.0, np.pi, 181)
-    ]
-    assert min(lead) == pytest.approx(EXCLUDED, rel=1e-6)
-    assert int(np.argmin(lead)) in (0, 180)
+    size = _told(products, first, second, [[0, 1]])
+    phases = np.linspace(0.0, np.pi, 181)
+    found = [leads(wave, other, size * np.array([np.cos(one), np.sin(one)])) for one in phases]
+    assert min(found) == pytest.approx(0.0, abs=1e-6)
+    assert int(np.argmin(found)) in (0, 180)
     assert _share(products, first, second, [[0, 1]]) == pytest.approx(0.5 * 0.64)
 
 
@@ -74,14 +90,14 @@ def test_two_that_do_the_same_are_never_told_apart(monkeypatch):
         for name, scale in (("tilt", 10.0), ("counterbalance", 10.0), ("unseen", 1e-3))
     ]  # fmt: skip
     monkeypatch.setattr(isolability, "allowed", lambda _, fitted: fitted)
-    monkeypatch.setattr(isolability, "is_alone", lambda *_: True)
     monkeypatch.setattr(
         isolability, "limit_of",
         lambda _, candidate, name, size: DetectionLimit(candidate.name, name, "N", size, False),
     )  # fmt: skip
     empty = np.zeros((ROWS, 0))
     fitted = SimpleNamespace(hessian=np.zeros((0, 0)), jacobian=empty, residual=np.zeros(ROWS), u=np.zeros(0))
-    found = isolability.rivalries(None, fitted, amounts, LACKING)
+    limits = [DetectionLimit(one.candidate.name, "force", "N", 0.3, False) for one in amounts[:2]]
+    found = isolability.rivalries(None, fitted, amounts, limits)
     assert [(one.seen.effect, one.rival, one.told) for one in found] == [
         ("tilt", "counterbalance", None), ("counterbalance", "tilt", None),
     ]  # fmt: skip
@@ -93,7 +109,8 @@ def test_logs_of_a_motion_that_tells_everything_leave_no_rivals():
     fitter, base = recalibrated_of()
     amounts = small_amounts(fitter, base, catalogue(fitter, base))
     assert {one.candidate.name for one in amounts} > {"constant_force", "cogging", "force_gain"}
-    for one in isolability.rivalries(fitter, base, amounts, LACKING):
+    limits = detection_limits(fitter, base, catalogue(fitter, base), amounts, LACKING)
+    for one in isolability.rivalries(fitter, base, amounts, limits):
         assert one.told is None or one.told > one.seen.size
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from diffdrive.controllers.cascade import Cascade
-from tuning.identification.controller.fit import LawFit
+from tuning.identification.controller.fit import Alternative, LawFit
 from tuning.identification.controller.law import Law, Reading
 from tuning.identification.controller.search import TINY
 
@@ -37,7 +37,7 @@ class Parts:
 
 
 def parts_of(fit: LawFit, control_period: float | None) -> Parts:
-    """The parts of a fitted law.
+    """The parts of a fitted law: their mean over what it may be.
 
     The velocity gain is K less half a period of the integral. If no period is stated, that of the rows is taken where
     each is a sample; as a velocity over whole rows of a faster loop looks the same, anything shorter counts as its
@@ -50,12 +50,22 @@ def parts_of(fit: LawFit, control_period: float | None) -> Parts:
     elif control_period is None:
         longest = fit.period * float(np.clip(fit.law.window.real, TINY, 0.5))
         control_period, deviation = 0.5 * longest, longest / np.sqrt(12.0)
-    values = _parts(fit.parameters, control_period).real
-    steps = 1j * TINY * np.eye(len(fit.parameters))
-    jacobian = np.stack([_parts(fit.parameters + step, control_period).imag / TINY for step in steps], axis=1)
-    by_period = _parts(fit.parameters.astype(complex), control_period + 1j * TINY).imag / TINY * deviation
-    covariance = jacobian @ fit.covariance @ jacobian.T + np.outer(by_period, by_period)
-    return Parts(values, covariance, fit.freedom)
+    each = [_parts_with_covariance(one, control_period, deviation) for one in fit.mixture]
+    share = np.array([one.share for one in fit.mixture])
+    values, own = (np.stack(some) for some in zip(*each, strict=True))
+    mean = share @ values
+    apart = values - mean
+    covariance = np.einsum("m,mij->ij", share, own) + np.einsum("m,mi,mj->ij", share, apart, apart)
+    return Parts(mean, covariance, fit.freedom)
+
+
+def _parts_with_covariance(one: Alternative, period: float, deviation: float) -> tuple[np.ndarray, np.ndarray]:
+    """Those of one law, whose control period has a standard deviation."""
+    values = _parts(one.parameters, period).real
+    steps = 1j * TINY * np.eye(len(one.parameters))
+    jacobian = np.stack([_parts(one.parameters + step, period).imag / TINY for step in steps], axis=1)
+    by_period = _parts(one.parameters.astype(complex), period + 1j * TINY).imag / TINY * deviation
+    return values, jacobian @ one.covariance @ jacobian.T + np.outer(by_period, by_period)
 
 
 def _parts(parameters: np.ndarray, period: complex) -> np.ndarray:

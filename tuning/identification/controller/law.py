@@ -2,10 +2,10 @@
 
 u = K w + ki int w + m r'',   w = kp (e - kappa r') + r' - v,   kappa = (1 - ff) / kp,
 
-where v is the mean velocity over the last `window` seconds. The fed-forward speed ff r' is that of `late` seconds ago:
-a loop that is faster than the rows may difference its reference backwards. `kappa`, the following error per speed on a
-long stroke, is what a log shows best, so it stands in the place of the feed-forward. K = kv + ki T/2 is the velocity
-gain and half a period T of the integral, which a sum over periods has beyond the integral between its rows.
+where v is the mean velocity over the last `window`, and the fed-forward speed ff r' that of `late` ago: a loop that is
+faster than the rows may difference its reference backwards. `kappa`, the following error per speed on a long stroke, is
+what a log shows best, so it stands in the place of the feed-forward. K = kv + ki T/2 is the velocity gain and half a
+period T of the integral, which a sum over periods has beyond the integral between its rows.
 """
 
 import enum

@@ -1,5 +1,6 @@
 """The law's parameters that agree best with the moments of a log: Levenberg-Marquardt from the best of a grid."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -84,10 +85,11 @@ class Problem:
         """Derivative of the residuals."""
         return self._of_points(point[:, None] + 1j * TINY * np.eye(len(point)), held).imag / TINY
 
-    def inverse(self, point: np.ndarray) -> np.ndarray:
-        """That of the curvature of half the sum of squares."""
-        jacobian = self.jacobian(point)
-        return np.linalg.inv(jacobian.T @ jacobian)
+    def curvature(self, point: np.ndarray, birge: float = 1.0) -> np.ndarray:
+        """Of half the sum of squares, those of the moments scattering more than their noise by that factor."""
+        jacobian, free = self.jacobian(point), len(point)
+        moments, expected = jacobian[:-free], jacobian[-free:]
+        return moments.T @ moments / birge + expected.T @ expected
 
     def _of_points(self, points: np.ndarray, held: float) -> np.ndarray:
         """The residuals at points [p, m] side by side, [q + p, m]."""
@@ -131,15 +133,13 @@ class Solution(NamedTuple):
     cost: float
 
 
-def solve(problem: Problem) -> list[Solution]:
-    """Search from a grid: the best point and, where the loops of the cascade may change places, the best other minimum;
-    none where no positive gain agrees with the moments.
+def solve(problem: Problem, starts: Sequence[np.ndarray]) -> list[Solution]:
+    """Search from some of `starts_of`: the best point and, where the loops of the cascade may change places, the best
+    other minimum.
     """
-    starts = _starts(problem)
     if not starts:
         return []
     problem = replace(problem, log_gain=float(starts[0][LOG_GAIN]))
-    starts = [np.where(np.isin(np.arange(len(start)), problem.held), 0.0, start) for start in starts]
     found = _finished(problem, [_minimise_twice(problem, start) for start in starts])
     best = min(found, key=_cost)
     # Where the following error vanishes on long strokes, u = K (s + kp) (s + rate) / s e but for the delay of the
@@ -159,7 +159,10 @@ def _cost(found: tuple[np.ndarray, float]) -> float:
 
 
 def _minimise_twice(problem: Problem, start: np.ndarray) -> tuple[np.ndarray, float]:
-    """With the times within rows held at first: from afar they would explain what wrong gains do."""
+    """Without what is held, and with the times within rows held at first: from afar they would explain what wrong gains
+    do.
+    """
+    start = np.where(np.isin(np.arange(len(start)), problem.held), 0.0, start)
     held = problem.minimise(start, held=HELD, steps=ROUGH)[0] if problem.reading is Reading.OWN_INSTANT else start
     return problem.minimise(held, steps=ROUGH)
 
@@ -175,8 +178,10 @@ def _windows(problem: Problem) -> tuple[float, ...]:
     return (0.0,) if problem.reading is Reading.EVERY_SAMPLE else WINDOWS
 
 
-def _starts(problem: Problem) -> list[np.ndarray]:
-    """Of the K_v and windows of a grid, with the best other parameters, the local minima with a positive gain."""
+def starts_of(problem: Problem) -> list[np.ndarray]:
+    """Of the K_v and windows of a grid, with the best other parameters, the local minima with a positive gain; none
+    where no positive gain agrees with the moments.
+    """
     found: list[tuple[float, np.ndarray]] = []
     for window in _windows(problem):
         costs, points = _given(problem, GRID, window)

@@ -100,7 +100,8 @@ def test_the_same_controller_is_not_said_to_differ_and_is_joined(trace, estimate
     both = tuning.identify_controller(None, [trace, TRACE.log(SECONDS, seed=4, name="today")])
     assert both.differences == ()
     assert both.status.ok
-    assert np.diff(both.interval("kv")) < np.diff(estimate.interval("kv"))
+    # not the velocity gain: what is not known of it is mostly the period of the controller, the same in both
+    assert np.diff(both.interval("kp")) < np.diff(estimate.interval("kp"))
 
 
 def test_a_log_is_compared_with_the_controller_of_the_axis(trace):
@@ -286,7 +287,7 @@ def test_a_command_that_no_cascade_explains_is_compared_with_none(trace):
 def test_a_command_of_another_instant_leaves_wider_intervals_that_hold():
     fit = fit_log(replace(TRACE, late=2 / 4000.0).log(6.0, seed=5))
     assert fit.reading is Reading.OWN_INSTANT
-    deviation = np.sqrt(fit.covariance[0, 0])
+    deviation = np.sqrt(fit.mixture[0].covariance[0, 0])
     assert abs(fit.law.log_kp - np.log(TRACE.kp)) < 3.0 * deviation
 
 
