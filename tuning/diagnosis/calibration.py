@@ -59,7 +59,9 @@ def prior_root(
     for k, (path, stated) in enumerate(zip(uncertainty.names, uncertainty.deviations, strict=True)):
         part, _, name = path.partition(".")
         for one in _meant(name):
-            share[NAMES.index(one), k] = _deviation(one, float(attrgetter(f"{part}.{one}")(drive)), stated)
+            value = attrgetter(f"{part}.{one}")(drive)
+            value = value.positive if isinstance(value, Directional) else value  # both directions move together
+            share[NAMES.index(one), k] = _deviation(one, float(value), stated)
     values, along = np.linalg.eigh(own @ own + share @ np.array(uncertainty.correlation) @ share.T)
     return (along * np.sqrt(np.maximum(values, 0.0))) @ along.T
 

@@ -17,6 +17,7 @@ STATED = Uncertainty.of(
         "friction.coulomb_screw.positive": Deviation(0.3),
         "friction.viscous": Deviation(0.05),
         "plant.mass": Deviation(3.0, is_relative=False),
+        "friction.bristle_stiffness": Deviation(0.45),
     },
     {"plant.constant_force": {"friction.coulomb_screw.positive": 0.99}},
 )
@@ -48,6 +49,7 @@ def test_what_the_drive_file_states_comes_to_the_tolerance_with_its_correlation(
     assert found[force, friction] == pytest.approx(0.99 * 40.0 * 0.3)
     mass = float(DRIVE.plant.mass)
     assert found[at["mass"], at["mass"]] == pytest.approx((3.0 / mass) ** 2 + 0.02**2)
+    assert found[at["bristle_stiffness"], at["bristle_stiffness"]] == pytest.approx(0.45**2 + 0.02**2)
     ways = at["viscous.positive"], at["viscous.negative"]  # one number in the drive file
     assert found[ways] == pytest.approx(0.05**2)
     assert found[at["bristle_damping"], at["bristle_damping"]] == pytest.approx(0.02**2)
