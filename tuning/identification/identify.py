@@ -199,7 +199,7 @@ def identify(
     alone = identify(
         [log.replace(motor_position=None) for log in logs], drive,
         fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=progress, start=start,
-        between=found.between,
+        between=between,
     )  # fmt: skip
     if was_interrupted(alone.search):
         return replace(found, search=found.search.interrupted())

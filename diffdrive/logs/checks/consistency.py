@@ -19,7 +19,13 @@ from diffdrive.logs.checks.explanation import (
     rivals_of,
 )
 from diffdrive.logs.checks.hypotheses import Hypothesis, shift
-from diffdrive.logs.checks.relation import LONGEST, ControllerRelation, ControllerSignals
+from diffdrive.logs.checks.relation import (
+    EXPLAINED_AFTER_TRANSIENT,
+    EXPLAINED_AS_LOGGED,
+    LONGEST,
+    ControllerRelation,
+    ControllerSignals,
+)
 from diffdrive.logs.checks.statistics import RobustFit, robust_fit
 from diffdrive.logs.checks.switching import find_switched_force
 from diffdrive.logs.log import Signal
@@ -27,8 +33,6 @@ from diffdrive.logs.log import Signal
 # A controller is software: with its own inputs it reproduces its output to the rounding of the log. 3 % is the most
 # that a coarse log or numerical derivatives of the reference cost; beyond half it is another controller.
 EXPLAINED, RELATED = 0.03, 0.5
-# What explains the command this well needs no other explanation; an initial load that decays slowly leaves the latter.
-EXPLAINED_AS_LOGGED, EXPLAINED_AFTER_TRANSIENT = 1e-3, 3e-3
 # A hypothesis must leave less than these shares of the misfit; an initial transient can look a little like a shift.
 CLEAR, CLEAR_OF_TRANSIENT = 0.5, 0.1
 UNLIKE_TRANSIENT = ("decimated", "swapped")  # another time, other columns

@@ -1,5 +1,6 @@
 """The drive file's controller replayed on the logged reference and position: the command that it should have given."""
 
+from collections.abc import Callable
 from typing import cast
 
 import equinox as eqx
@@ -16,6 +17,7 @@ from diffdrive.model.parameters import Drive
 from diffdrive.numerics.arrays import Scalar, as_arrays, require_double_precision
 
 WIDTHS = (4096, 65_536)  # samples; of what has more than ten times as many the next
+Difference = Callable[[np.ndarray, float], np.ndarray]  # of signals [m, n] and their period
 Carry = tuple[PyTree, actuator.ActuatorState]  # the controller's state and the actuator's
 SETTLE = 10  # samples until the controller's differences are those of the log
 
@@ -54,6 +56,16 @@ def _initial_state(controller: Controller, position: Scalar, speed: Scalar) -> P
 ControllerAndDrive = tuple[Controller, Drive]
 
 
+def central(signals: np.ndarray, period: float) -> np.ndarray:
+    """The derivative of signals [m, n] by the samples before and after: nearest to that of a profile."""
+    return np.gradient(signals, period, axis=1)
+
+
+def backward(signals: np.ndarray, period: float) -> np.ndarray:
+    """By this sample and the one before, as a controller takes it that is given positions: half a sample late."""
+    return np.diff(signals, axis=1, prepend=signals[:, :1]) / period
+
+
 def controller_arrays(axis: Axis) -> ControllerAndDrive:
     """The axis's controller and drive, as arrays."""
     require_double_precision()
@@ -67,23 +79,24 @@ def controller_commands(
     period: float,
     speed: float = 0.0,
     logged_command: np.ndarray | None = None,
+    difference: Difference = central,
 ) -> np.ndarray:
     """Commands (N) [m, n] of the controller for m pairs of reference and position (m) [m, n], `period` (s) apart.
 
     It begins at `speed` (m/s). Its observer is fed its own command, or `logged_command` (N) [n], as on the machine:
     then it forgets its initial state. The reference's velocity and acceleration, which the log does not hold, are its
-    central differences.
+    first and second `difference`.
     """
     count = references.shape[1]
     # the length is rounded up, at rest at the end, so that logs of similar length share one compiled program
     block = next((size for size in WIDTHS if count <= 10 * size), WIDTHS[-1])
     width = block * -(-count // block)
     padding = ((0, 0), (0, width - count))
-    rates = np.gradient(references, period, axis=1)
+    rates = difference(references, period)
     reference = Reference(
         _array(np.pad(references, padding, mode="edge")),
         _array(np.pad(rates, padding)),
-        _array(np.pad(np.gradient(rates, period, axis=1), padding)),
+        _array(np.pad(difference(rates, period), padding)),
     )
     position = _array(np.pad(positions, padding, mode="edge"))
     command = None if logged_command is None else _array(np.pad(logged_command, (0, width - count), mode="edge"))
