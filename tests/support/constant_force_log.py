@@ -13,12 +13,12 @@ from diffdrive.effects.forces import ConstantForce
 from diffdrive.logs import write_log
 from experiments.reports.diagnosis import diagnosis as command
 from tests.support.sound_log import DRIVE, simulate_log, two_sines
-from tuning.diagnosis.calibration import NAMES, calibrated
+from tuning.diagnosis.calibration import LOGARITHMS, calibrated
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.next_experiment import Experiment
 
-# how far the machine is from its file, but for the constant force
-DEVIATIONS = np.append(np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES) - 1), 0.0)
+# how far the machine is from its file, but for constant force and delay
+DEVIATIONS = np.append(np.random.default_rng(8).uniform(-0.02, 0.02, LOGARITHMS), [0.0, 0.0])
 AMONG = ("constant_force", "friction_asymmetry", "position_spring")  # the effects that such a log may show
 NO_EXPERIMENT = Experiment("", [], 0.0, "not asked")
 

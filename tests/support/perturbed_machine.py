@@ -10,7 +10,7 @@ import numpy as np
 from diffdrive.model.parameters import Sampling
 from diffdrive.numerics.arrays import as_arrays
 from tests.support.sound_log import DRIVE, RATE, simulate_log, two_sines
-from tuning.diagnosis.calibration import NAMES, TOLERANCE, calibrated
+from tuning.diagnosis.calibration import LOGARITHMS, TOLERANCE, calibrated
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.model import Logged
@@ -18,8 +18,8 @@ from tuning.diagnosis.search import recalibrated
 from tuning.diagnosis.setting import setting
 from tuning.identification.problem import lanes_of, noise_floor
 
-# how far the machine is from its file, but for the constant force
-DEVIATIONS = np.append(np.random.default_rng(5).uniform(-0.02, 0.02, len(NAMES) - 1), 0.0)
+# how far the machine is from its file, but for constant force and delay
+DEVIATIONS = np.append(np.random.default_rng(5).uniform(-0.02, 0.02, LOGARITHMS), [0.0, 0.0])
 
 
 def fitter_of(*effects, seed=1):

@@ -18,7 +18,7 @@ from experiments.reports.report import Report
 from tests.support import constant_force_log
 from tests.support.sound_log import DRIVE, axis_of
 from tuning.diagnosis.as_json import as_json
-from tuning.diagnosis.calibration import NAMES
+from tuning.diagnosis.calibration import DELAY, FORCE, NAMES
 from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import LoopGap
@@ -199,7 +199,8 @@ def test_a_tuning_that_is_interrupted_does_not_lose_the_diagnosis(
 def test_the_recalibrated_parameters_are_told_with_their_intervals(constant_force_diagnosis, command_for):
     told, out = command_for(constant_force_diagnosis)
     rows = {one["parameter"]: one for one in told["recalibrated"]}
-    assert set(NAMES) - {"bristle_stiffness", "bristle_damping"} < set(rows)
+    assert set(NAMES) - {"bristle_stiffness", "bristle_damping", FORCE, DELAY} < set(rows)
+    assert not {FORCE, DELAY} & set(rows)  # as the drive file has them: it doubts neither
     mass, drive = rows["mass"], read_axis(out / "augmented.toml").drive
     assert (mass["drive_file"], mass["unit"]) == (float(DRIVE.drive.plant.mass), "kg")
     low, high = mass["with_effects_interval"]

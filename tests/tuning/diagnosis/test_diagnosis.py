@@ -22,7 +22,7 @@ from experiments.reports.report import Report
 from experiments.studies.withheld.score import score
 from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
 from tuning.diagnosis.beginnings import _window
-from tuning.diagnosis.calibration import NAMES, calibrated, tolerated
+from tuning.diagnosis.calibration import LOGARITHMS, NAMES, calibrated, tolerated
 from tuning.diagnosis.coverage import shortcomings
 from tuning.diagnosis.diagnose import _credible, _within, diagnose, logged_of
 from tuning.diagnosis.exposure import Course
@@ -37,8 +37,8 @@ from tuning.diagnosis.workflow import augmented_drive
 from tuning.experiment_design.next_motion import candidates
 from tuning.identification.shown_motion import Shortcoming
 
-# how far the machine is from its file, but for the constant force
-OFF = np.append(np.random.default_rng(8).uniform(-0.02, 0.02, len(NAMES) - 1), 0.0)
+# how far the machine is from its file, but for constant force and delay
+OFF = np.append(np.random.default_rng(8).uniform(-0.02, 0.02, LOGARITHMS), [0.0, 0.0])
 
 
 @cache
