@@ -48,7 +48,7 @@ def first_controller(log: Log, axis: Axis) -> FirstController:
     cascade = estimate.axis.controller
     assert isinstance(cascade, Cascade)
     tried = [(_misfit(log, axis, one), one) for one in _controllers(cascade, axis)]
-    misfit, controller = min(tried, key=lambda one: one[0])
+    misfit, controller = min(reversed(tried), key=lambda one: max(one[0], ROUNDING))  # a PD where both are exact
     left = f"{percent(misfit)} % of the command" if misfit > ROUNDING else "the rounding of the command"
     if not misfit < EXPLAINED:
         return FirstController(None, estimate, f"a {controller.kind} with the gains that are seen leaves {left}")
