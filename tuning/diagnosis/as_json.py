@@ -62,7 +62,7 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "logs_would_show": limits_say(found.limits),
         "hardly_told_apart": [
             one.seen._asdict()
-            | {"rival": one.rival, "share": one.share, "told_apart": one.told, "says": rivalry_says(one)}
+            | {"rival": one.rival, "share": one.share, "told_apart": one.isolable, "says": rivalry_says(one)}
             for one in found.alike
         ],
         "left": None if found.left is None else [one._asdict() | {"says": dependence_says(one)} for one in found.left],

@@ -39,14 +39,14 @@ EXCLUDED = -float(np.log(DECLARED))  # temperatures of the verdict, by which a r
 class Rivalry(NamedTuple):
     """An effect that would be seen from a size on, and told from its closest rival from a larger one on.
 
-    Sizes are in SI units; `told` is None where it is at no size that would be expected. `share` is how much of what the
+    Sizes are in SI units; `isolable` is None where it is at no size that would be expected. `share` is how much of what the
     effect does in the logs the rival would do, too, in mean square.
     """
 
     seen: DetectionLimit
     rival: str
     share: float
-    told: float | None
+    isolable: float | None
 
 
 class _Columns(NamedTuple):
@@ -91,21 +91,21 @@ def _of(
     rivals = [one for one in every if one.effect.candidate.name != candidate.name]
     for parameter, groups in amplitude_groups(mine.effect.labels).items():
         spread = known[parameter].spread
-        sizes = [spread * _told(products, mine, other, groups) for other in rivals]
+        sizes = [spread * _isolable_size(products, mine, other, groups) for other in rivals]
         hardest = int(np.argmax(sizes)) if sizes else 0
-        told = limit_of(fitter, candidate, parameter, sizes[hardest] if sizes else None)
-        limit = seen.get((told.effect, told.parameter))
-        if limit is None or told.size is None or told.size <= (limit.size or 0.0):
+        isolable = limit_of(fitter, candidate, parameter, sizes[hardest] if sizes else None)
+        limit = seen.get((isolable.effect, isolable.parameter))
+        if limit is None or isolable.size is None or isolable.size <= (limit.size or 0.0):
             continue
         yield Rivalry(
             limit,
             rivals[hardest].effect.candidate.name,
             _share(products, mine, rivals[hardest], groups),
-            told.size if sizes[hardest] <= UNEXPECTED * spread else None,
+            isolable.size if sizes[hardest] <= UNEXPECTED * spread else None,
         )
 
 
-def _told(products: Products, mine: _Columns, other: _Columns, groups: Sequence[Group]) -> float:
+def _isolable_size(products: Products, mine: _Columns, other: _Columns, groups: Sequence[Group]) -> float:
     """The size, in deviations of its prior, from which on the other effect is excluded.
 
     The temperature of a verdict is a number, or a share of the evidence gained: both must be exceeded.

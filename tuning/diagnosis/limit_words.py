@@ -21,8 +21,8 @@ def limit_says(limit: DetectionLimit) -> str:
 
 def rivalry_says(one: Rivalry) -> str:
     """Up to which size an effect may be another, as in "cogging, amplitude from 0.2 N to 3 N, may be lead_error"."""
-    seen, told = one.seen, one.told
-    up_to = "" if told is None else f" to {_sized(seen, told)}"
+    seen, isolable = one.seen, one.isolable
+    up_to = "" if isolable is None else f" to {_sized(seen, isolable)}"
     return (
         f"{seen.effect}, {seen.parameter} from {_sized(seen, seen.size or 0.0)}{up_to}, may be {one.rival}, which does "
         f"{100.0 * one.share:.0f} % of the same"

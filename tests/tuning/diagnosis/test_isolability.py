@@ -8,7 +8,7 @@ import pytest
 from tests.support.perturbed_machine import catalogue, recalibrated_of
 from tuning.diagnosis import isolability
 from tuning.diagnosis.detection import Answers, ByAmount, DetectionLimit, detection_limits, small_amounts
-from tuning.diagnosis.isolability import Rivalry, _Columns, _share, _told
+from tuning.diagnosis.isolability import Rivalry, _Columns, _isolable_size, _share
 from tuning.diagnosis.leftover import LACKING
 from tuning.diagnosis.limit_words import rivalry_says
 from tuning.diagnosis.verdict import COLDEST, DECLARED, SOFT
@@ -48,7 +48,7 @@ def test_an_effect_is_told_from_its_rival_from_the_size_on_at_which_that_is_excl
     mine, other = np.linalg.qr(rng.standard_normal((ROWS, 2)))[0].T
     mine, other = 40.0 * mine[:, None], 70.0 * (alike * mine + np.sqrt(1.0 - alike**2) * other)[:, None]
     products, first, second = of((mine, other))
-    size = _told(products, first, second, [[0]])
+    size = _isolable_size(products, first, second, [[0]])
     assert leads(mine, other, [size]) == pytest.approx(0.0, abs=1e-6)
     assert leads(mine, other, [0.99 * size]) < 0.0 < leads(mine, other, [1.01 * size])
     assert _share(products, first, second, [[0]]) == pytest.approx(alike**2)
@@ -60,7 +60,7 @@ def test_a_rival_that_does_nearly_all_of_it_is_never_excluded():
     mine, other = np.linalg.qr(rng.standard_normal((ROWS, 2)))[0].T
     mine, other = 40.0 * mine[:, None], 70.0 * (0.98 * mine + np.sqrt(1.0 - 0.98**2) * other)[:, None]
     products, first, second = of((mine, other))
-    assert _told(products, first, second, [[0]]) == np.inf
+    assert _isolable_size(products, first, second, [[0]]) == np.inf
     assert all(leads(mine, other, [size]) < 0.0 for size in np.geomspace(0.1, 1e4, 20))
 
 
@@ -69,7 +69,7 @@ def test_a_wave_is_told_apart_at_the_phase_that_is_most_alike():
     cosine, sine, apart = 50.0 * np.linalg.qr(rng.standard_normal((ROWS, 3)))[0].T
     wave, other = np.stack([cosine, sine], axis=1), (0.8 * cosine + 0.6 * apart)[:, None]
     products, first, second = of((wave, other))
-    size = _told(products, first, second, [[0, 1]])
+    size = _isolable_size(products, first, second, [[0, 1]])
     phases = np.linspace(0.0, np.pi, 181)
     found = [leads(wave, other, size * np.array([np.cos(one), np.sin(one)])) for one in phases]
     assert min(found) == pytest.approx(0.0, abs=1e-6)
@@ -98,7 +98,7 @@ def test_two_that_do_the_same_are_never_told_apart(monkeypatch):
     fitted = SimpleNamespace(hessian=np.zeros((0, 0)), jacobian=empty, residual=np.zeros(ROWS), u=np.zeros(0))
     limits = [DetectionLimit(one.candidate.name, "force", "N", 0.3, False) for one in amounts[:2]]
     found = isolability.rivalries(None, fitted, amounts, limits)
-    assert [(one.seen.effect, one.rival, one.told) for one in found] == [
+    assert [(one.seen.effect, one.rival, one.isolable) for one in found] == [
         ("tilt", "counterbalance", None), ("counterbalance", "tilt", None),
     ]  # fmt: skip
     assert [one.share for one in found] == pytest.approx([1.0, 1.0])
@@ -111,7 +111,7 @@ def test_logs_of_a_motion_that_tells_everything_leave_no_rivals():
     assert {one.candidate.name for one in amounts} > {"constant_force", "cogging", "force_gain"}
     limits = detection_limits(fitter, base, catalogue(fitter, base), amounts, LACKING)
     for one in isolability.rivalries(fitter, base, amounts, limits):
-        assert one.told is None or one.told > one.seen.size
+        assert one.isolable is None or one.isolable > one.seen.size
 
 
 def test_a_rivalry_in_words():
