@@ -39,8 +39,8 @@ EXCLUDED = -float(np.log(DECLARED))  # temperatures of the verdict, by which a r
 class Rivalry(NamedTuple):
     """An effect that would be seen from a size on, and told from its closest rival from a larger one on.
 
-    Sizes are in SI units; `isolable` is None where it is at no size that would be expected. `share` is how much of what the
-    effect does in the logs the rival would do, too, in mean square.
+    Sizes are in SI units; `isolable` is None where it is at no size that would be expected. `share` is how much of what
+    the effect does in the logs the rival would do, too, in mean square.
     """
 
     seen: DetectionLimit
