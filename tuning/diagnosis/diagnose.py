@@ -32,7 +32,7 @@ from tuning.diagnosis.events import doubted_by_event
 from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, evidence_needed, explain
 from tuning.diagnosis.exposure import in_parts
 from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.gap import ForceGap, force_gap, force_noise, uncoupled
+from tuning.diagnosis.gap import ForceGap, force_gap, force_noise, rms_of_noise, uncoupled
 from tuning.diagnosis.held_out import Closed, closed, closing, confirmed, left_in_loop, upheld
 from tuning.diagnosis.isolability import Rivalry, rivalries
 from tuning.diagnosis.ladder import Rung, climb, known_floor
@@ -157,7 +157,7 @@ def diagnose(
     base = recalibrated(fitter, tolerance, tuple(Member(*one) for one in given(effects, at)), uncertainty)
     progress("recalibrating", 1, 1)
     lead = next((float(one.lead) for one in drive.effects if isinstance(one, LeadError)), None)
-    early = _lacking_force(fitter, base)
+    early = _missing_force(fitter, base)
     tell(of_gap(early.gap, early.floor, complete(fitter, base), _located(logged, early, lead, ())))
     catalogue = [one for one in candidates(at) if one.name not in without]
     hopeless = any(one.hopeless for one in lacks)
@@ -175,8 +175,8 @@ def diagnose(
         verdict = verdict.and_says(f"{last} was withdrawn, since the held-out data are predicted worse with it")
     if without:
         verdict = verdict.and_says(f"not looked for: {', '.join(without)}")
-    lacking = early if found.base is base else _lacking_force(fitter, found.base)  # it may have been led further
-    where, gap = _located(logged, lacking, lead, _subsystems(found, verdict.unexplained)), lacking.gap
+    missing = early if found.base is base else _missing_force(fitter, found.base)  # it may have been led further
+    where, gap = _located(logged, missing, lead, _subsystems(found, verdict.unexplained)), missing.gap
     progress("judging on held-out data", 1, 1)
     progress("finding what these logs would show", 0, 1)
     searched = bool(most_effects) and not hopeless
@@ -192,7 +192,7 @@ def diagnose(
     )
 
 
-class _Lacking(NamedTuple):
+class _MissingForce(NamedTuple):
     """The force that a drive lacks along the logs, and what noise alone would make of a model that lacks nothing."""
 
     gap: ForceGap
@@ -201,20 +201,19 @@ class _Lacking(NamedTuple):
     @property
     def floor(self) -> float:
         """Root mean square (N) of the noise, over the samples that count."""
-        counts = self.gap.counts[..., None]
-        return float(np.sqrt(np.sum(self.noise**2 * counts) / max(self.noise.shape[-1] * counts.sum(), 1.0)))
+        return rms_of_noise(self.noise, self.gap.counts)
 
 
-def _lacking_force(fitter: Fitter, base: Fitted) -> _Lacking:
+def _missing_force(fitter: Fitter, base: Fitted) -> _MissingForce:
     trusting = comparing(fitter, base)
     gap = force_gap(fitter, base, base.model, base.u, trusting)
-    return _Lacking(gap, force_noise(fitter, uncoupled(fitter, base), trusting))
+    return _MissingForce(gap, force_noise(fitter, uncoupled(fitter, base), trusting))
 
 
-def _located(logged: Logged, lacking: _Lacking, lead: float | None, others: Sequence[Region]) -> list[Region]:
+def _located(logged: Logged, missing: _MissingForce, lead: float | None, others: Sequence[Region]) -> list[Region]:
     return localise(
-        lacking.gap, logged.lanes, logged.owner, logged.sampling.rate,
-        starts=logged.starts, noise=lacking.noise, lead=lead, others=others,
+        missing.gap, logged.lanes, logged.owner, logged.sampling.rate,
+        starts=logged.starts, noise=missing.noise, lead=lead, others=others,
     )  # fmt: skip
 
 

@@ -249,5 +249,9 @@ def force_floor(
     fitter: Fitter, fitted: Fitted, counts: Float[np.ndarray, "lanes n"], process: Float[np.ndarray, " 2"]
 ) -> float:
     """Root mean square (N) of that force over the samples that count."""
-    told = force_noise(fitter, fitted, process)
-    return float(np.sqrt(np.sum(told**2 * counts[..., None]) / max(NOISES * counts.sum(), 1.0)))
+    return rms_of_noise(force_noise(fitter, fitted, process), counts)
+
+
+def rms_of_noise(force: Float[np.ndarray, "lanes n draws"], counts: Float[np.ndarray, "lanes n"]) -> float:
+    """Root mean square (N) of `force_noise` over the samples that count."""
+    return float(np.sqrt(np.sum(force**2 * counts[..., None]) / max(NOISES * counts.sum(), 1.0)))
