@@ -84,7 +84,7 @@ def search_law(
     minima = [one for each in held for one in solve(replace(problem, held=each), starts)]
     if not minima:
         return None
-    birge = min(_birge(one) for one in minima)
+    birge = _birge(sums, minima)
     solution, *others = sorted(minima, key=lambda one: unlikelihood(one, birge))
     law = Law(*solution.point)
     theta, mix = coefficients(law, period, reading), weights(law, reading)
@@ -99,10 +99,18 @@ def _of_moments(solution: Solution) -> float:
     return float(np.sum(solution.problem.residuals(solution.point)[: -len(solution.point)] ** 2))
 
 
-def _birge(solution: Solution) -> float:
-    """The factor by which the moments scatter more than their noise explains, in variance; at least one."""
-    spare = len(solution.problem.regressors) - (len(solution.point) - len(solution.problem.held))
-    return max(1.0, _of_moments(solution) / spare) if spare > 0 else 1.0
+def _birge(sums: Moments, minima: Sequence[Solution]) -> float:
+    """The factor by which the moments scatter more than their noise explains, in variance; at least one.
+
+    Of the minimum that agrees best, which holds least: the misfit of the sums, and what its blocks scatter. Where there
+    are as many moments as parameters the first says nothing, and the second alone tells that what is left has a memory.
+    """
+    best = min(minima, key=_of_moments)
+    problem, law = best.problem, Law(*best.point)
+    spare = len(problem.regressors) - (len(best.point) - len(problem.held))
+    misfit = _of_moments(best) / spare if spare > 0 else 1.0
+    scatter = sums.scatter(weights(law, problem.reading), coefficients(law, problem.period, problem.reading))
+    return max(1.0, misfit, scatter)
 
 
 def unlikelihood(solution: Solution, birge: float) -> float:

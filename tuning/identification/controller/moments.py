@@ -32,13 +32,26 @@ class Moments:
     def whitened(self, without: int | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Sums with regressors and commands in standard deviations, [q, k] and [q, c], without one block."""
         keep = np.arange(self.blocks) != (-1 if without is None else without)
-        variances, zx, zu = (part[keep].sum(axis=0) for part in (self.variances, self.regressors, self.commands))
-        scale = np.sqrt(np.diag(variances))
-        scale = np.where(scale > 0, scale, 1.0)
-        values, vectors = np.linalg.eigh(variances / np.outer(scale, scale))
-        kept = values > values[-1] * RANK
-        root = (vectors[:, kept] / np.sqrt(values[kept])).T / scale
+        zx, zu = (part[keep].sum(axis=0) for part in (self.regressors, self.commands))
+        root = _whitening(self.variances[keep].sum(axis=0))
         return root @ zx, root @ zu
+
+    def scatter(self, mix: Float[np.ndarray, " c"], theta: Float[np.ndarray, " k"]) -> float:
+        """By what factor the sums of blocks scatter more than their noise would without a memory, in variance."""
+        if self.blocks < 2:
+            return 1.0
+        left = (self.commands @ mix - self.regressors @ theta) @ _whitening(self.variances.sum(axis=0)).T
+        around = left - left.mean(axis=0)
+        return float(np.sum(around**2)) * self.blocks / (self.blocks - 1) / around.shape[1]
+
+
+def _whitening(variances: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "r q"]:
+    """The matrix that makes sums of these variances independent and of unit variance."""
+    scale = np.sqrt(np.diag(variances))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(variances / np.outer(scale, scale))
+    kept = values > values[-1] * RANK
+    return (vectors[:, kept] / np.sqrt(values[kept])).T / scale
 
 
 RANK = 1e-13  # of the normal equations of unit instruments, in which a direction below it is rounding
