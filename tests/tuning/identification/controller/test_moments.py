@@ -1,4 +1,4 @@
-"""The sums that a search for a controller's law has of a log, and what their blocks say of the memory of what is left."""
+"""The sums that a search for a controller's law has of a log: what their blocks say of the memory of what is left."""
 
 import numpy as np
 import pytest
