@@ -102,8 +102,8 @@ def _of_moments(solution: Solution) -> float:
 def _birge(sums: Moments, minima: Sequence[Solution]) -> float:
     """The factor by which the moments scatter more than their noise explains, in variance; at least one.
 
-    Of the minimum that agrees best, which holds least: the misfit of the sums, and what its blocks scatter. Where there
-    are as many moments as parameters the first says nothing, and the second alone tells that what is left has a memory.
+    Of the minimum that agrees best: the misfit of its sums or what their blocks scatter, the larger. Where there are as
+    many moments as parameters the misfit says nothing, and the scatter alone shows that what is left has a memory.
     """
     best = min(minima, key=_of_moments)
     problem, law = best.problem, Law(*best.point)
