@@ -58,6 +58,7 @@ class Candidate:
     solution: Solution
     others: tuple[Solution, ...]  # what else may be, each a minimum
     birge: float  # the factor by which the moments scatter more than their noise explains, in variance
+    beyond: float  # that by which the solution misfits them beyond what their blocks scatter, in variance
     residual: float
     unexplained: float
 
@@ -84,14 +85,16 @@ def search_law(
     minima = [one for each in held for one in solve(replace(problem, held=each), starts)]
     if not minima:
         return None
-    birge = _birge(sums, minima)
+    best = min(minima, key=_of_moments)
+    memory = max(1.0, _scatter(sums, best))
+    birge = max(memory, _misfit(best))
     solution, *others = sorted(minima, key=lambda one: unlikelihood(one, birge))
     law = Law(*solution.point)
     theta, mix = coefficients(law, period, reading), weights(law, reading)
     left = _left(equations, mix, theta)
     slow = [equation.conditions[0] for equation in equations]
     share = _left(slow, mix, theta) / _rms(np.concatenate([one.commands @ mix for one in slow]))
-    return Candidate(sums, solution, tuple(others), birge, left, share)
+    return Candidate(sums, solution, tuple(others), birge, max(1.0, _misfit(solution) / memory), left, share)
 
 
 def _of_moments(solution: Solution) -> float:
@@ -99,18 +102,19 @@ def _of_moments(solution: Solution) -> float:
     return float(np.sum(solution.problem.residuals(solution.point)[: -len(solution.point)] ** 2))
 
 
-def _birge(sums: Moments, minima: Sequence[Solution]) -> float:
-    """The factor by which the moments scatter more than their noise explains, in variance; at least one.
+def _misfit(solution: Solution) -> float:
+    """The factor by which the moments misfit a law more than their noise explains, in variance.
 
-    Of the minimum that agrees best: the misfit of its sums or what their blocks scatter, the larger. Where there are as
-    many moments as parameters the misfit says nothing, and the scatter alone shows that what is left has a memory.
+    One, where there are no more moments than parameters: they cannot misfit.
     """
-    best = min(minima, key=_of_moments)
-    problem, law = best.problem, Law(*best.point)
-    spare = len(problem.regressors) - (len(best.point) - len(problem.held))
-    misfit = _of_moments(best) / spare if spare > 0 else 1.0
-    scatter = sums.scatter(weights(law, problem.reading), coefficients(law, problem.period, problem.reading))
-    return max(1.0, misfit, scatter)
+    spare = len(solution.problem.regressors) - (len(solution.point) - len(solution.problem.held))
+    return _of_moments(solution) / spare if spare > 0 else 1.0
+
+
+def _scatter(sums: Moments, solution: Solution) -> float:
+    """That by which their blocks scatter: what a law leaves of the command has a memory."""
+    problem, law = solution.problem, Law(*solution.point)
+    return sums.scatter(weights(law, problem.reading), coefficients(law, problem.period, problem.reading))
 
 
 def unlikelihood(solution: Solution, birge: float) -> float:
@@ -127,9 +131,9 @@ def _left(several: Sequence[Equation] | Sequence[Condition], mix: np.ndarray, th
 def with_covariance(candidate: Candidate, samples: int | None = None) -> LawFit:
     """The fit, with the covariance of leaving out one block of rows after the other.
 
-    That is the jackknife of Tukey, conservative where few events carry the information. To it come what was expected,
-    a misfit of the moments beyond their noise (the factor of Birge). What else may be stands beside it, as likely as it
-    is. `samples` are those over which the velocity is differenced, where each row is one.
+    That is the jackknife of Tukey, conservative where few events carry the information. It has what blocks scatter; to
+    it come what was expected and a misfit beyond that (the factor of Birge). What else may be stands beside it, as
+    likely as it is. `samples` are those over which the velocity is differenced, where each row is one.
     """
     sums, (problem, point, _) = candidate.sums, candidate.solution
     deleted = []
@@ -138,9 +142,9 @@ def with_covariance(candidate: Candidate, samples: int | None = None) -> LawFit:
         rest = replace(problem, regressors=regressors, commands=commands)
         deleted.append(rest.minimise(point, steps=DELETED_STEPS)[0])
     around = np.stack(deleted) - np.mean(deleted, axis=0)
-    inverse, birge = np.linalg.inv(problem.curvature(point)), candidate.birge
+    inverse = np.linalg.inv(problem.curvature(point))
     from_expected = inverse @ np.diag(problem.spread**-2) @ inverse
-    covariance = birge * (sums.blocks - 1) / sums.blocks * around.T @ around + from_expected
+    covariance = candidate.beyond * (sums.blocks - 1) / sums.blocks * around.T @ around + from_expected
     rows = samples if samples is not None else float(Law(*point).window.real)
     return LawFit(
         _mixture(candidate, covariance),
