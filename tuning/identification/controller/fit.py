@@ -58,7 +58,7 @@ class Candidate:
     solution: Solution
     others: tuple[Solution, ...]  # what else may be, each a minimum
     birge: float  # the factor by which the moments scatter more than their noise explains, in variance
-    beyond: float  # that by which the solution misfits them beyond what their blocks scatter, in variance
+    excess_misfit: float  # that by which the solution misfits them beyond what their blocks scatter, in variance
     residual: float
     unexplained: float
 
@@ -144,7 +144,7 @@ def with_covariance(candidate: Candidate, samples: int | None = None) -> LawFit:
     around = np.stack(deleted) - np.mean(deleted, axis=0)
     inverse = np.linalg.inv(problem.curvature(point))
     from_expected = inverse @ np.diag(problem.spread**-2) @ inverse
-    covariance = candidate.beyond * (sums.blocks - 1) / sums.blocks * around.T @ around + from_expected
+    covariance = candidate.excess_misfit * (sums.blocks - 1) / sums.blocks * around.T @ around + from_expected
     rows = samples if samples is not None else float(Law(*point).window.real)
     return LawFit(
         _mixture(candidate, covariance),

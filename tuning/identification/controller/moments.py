@@ -37,12 +37,18 @@ class Moments:
         return root @ zx, root @ zu
 
     def scatter(self, mix: Float[np.ndarray, " c"], theta: Float[np.ndarray, " k"]) -> float:
-        """By what factor the sums of blocks scatter more than their noise would without a memory, in variance."""
-        if self.blocks < 2:
-            return 1.0
-        left = (self.commands @ mix - self.regressors @ theta) @ _whitening(self.variances.sum(axis=0)).T
-        around = left - left.mean(axis=0)
-        return float(np.sum(around**2)) * self.blocks / (self.blocks - 1) / around.shape[1]
+        """By what factor the sums of blocks scatter more than their noise would without a memory, in variance.
+
+        A block has a share V of all information, and so V of the sum over all is expected in it. Noise leaves a mean
+        square of tr(V - V^2) around that: a block that carries nearly everything says nothing. One, where none says
+        anything.
+        """
+        root = _whitening(self.variances.sum(axis=0))
+        left = (self.commands @ mix - self.regressors @ theta) @ root.T
+        shares = root @ self.variances @ root.T
+        around = left - shares @ left.sum(axis=0)
+        expected = root.shape[0] - np.sum(shares**2)
+        return float(np.sum(around**2) / expected) if expected > LEAST_INFORMATION else 1.0
 
 
 def _whitening(variances: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "r q"]:
@@ -54,6 +60,7 @@ def _whitening(variances: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "r q"]:
     return (vectors[:, kept] / np.sqrt(values[kept])).T / scale
 
 
+LEAST_INFORMATION = 1.0  # a variance from less than one square is no estimate
 RANK = 1e-13  # of the normal equations of unit instruments, in which a direction below it is rounding
 
 
