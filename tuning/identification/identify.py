@@ -39,7 +39,7 @@ from tuning.identification.refinement import (
 from tuning.identification.rivals import RivalValue, rival_values
 from tuning.identification.row_force import BetweenRows, loop_samples
 from tuning.identification.setup import IdentificationSetup, build_problem
-from tuning.identification.snapshots import as_rows_show, with_unknown_command
+from tuning.identification.snapshots import as_rows_show, lacks_force, with_unknown_command
 from tuning.identification.uncertainty import Covariance, repetition_inflation
 from tuning.identification.unknowns import MULTIMODAL, Unknowns
 from tuning.optimisation.least_squares import LeastSquaresResult, Outcome, StepProgress, multistart, no_progress
@@ -129,8 +129,9 @@ def identify(
     in the logs where they differ. The first search starts from inverse dynamics, or from `start`, the answer of an
     earlier fit with the same drive. Of logs with a motor encoder beside the scale both are fitted, unless a disturbance
     force remains then and the scale alone gives another answer. `between` is what the command is known to do between
-    two rows; otherwise the logs show it. Finished searches are kept in the `store`, and taken from there when the
-    identification is begun again. Raises `LogError` where a log cannot be used and `ParameterError` for unknown names.
+    two rows; otherwise the logs show it, by their scale alone where both encoders leave a force. Finished searches are
+    kept in the `store`, and taken from there when the identification is begun again. Raises `LogError` where a log
+    cannot be used and `ParameterError` for unknown names.
     """
     require_search(starts, seed)
     require_double_precision()
@@ -143,6 +144,21 @@ def identify(
     theta = points[int(np.argmin(costs))]
     progress = _interrupt if stopped else progress
     held = refine(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), theta, problem, setup.noise, progress, store)
+
+    def by_scale() -> Identification:
+        bounds = {name: limits for name, limits in (bounded or {}).items() if name.rpartition(".")[2] != "compliance"}
+        return identify(
+            [log.replace(motor_position=None) for log in logs], drive,
+            fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=progress, start=start,
+            between=between,
+        )  # fmt: skip
+
+    alone: Identification | None = None
+    if between is None and problem.lanes.motor is not None and lacks_force(held):
+        # both encoders have the same rows; what the screw does between them looks like a command that is not held
+        alone = by_scale()
+        between = alone.between
+        held = held._replace(search=held.search.interrupted()) if was_interrupted(alone.search) else held
     full_fit = (
         held if between is BetweenRows.HELD else as_rows_show(held, problem, setup.noise, progress, store, between)
     )
@@ -195,12 +211,7 @@ def identify(
     )
     if fit.problem.lanes.motor is None or was_interrupted(fit.search) or not found.adequacy.lacks_force:
         return found
-    bounds = {name: limits for name, limits in (bounded or {}).items() if name.rpartition(".")[2] != "compliance"}
-    alone = identify(
-        [log.replace(motor_position=None) for log in logs], drive,
-        fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=progress, start=start,
-        between=between,
-    )  # fmt: skip
+    alone = by_scale() if alone is None else alone
     if was_interrupted(alone.search):
         return replace(found, search=found.search.interrupted())
     if permitted(found, alone) >= SIGNIFICANCE:

@@ -18,6 +18,11 @@ from tuning.store.store import Store
 HELD, SMOOTH = BetweenRows
 
 
+def lacks_force(fit: RefinedFit) -> bool:
+    """Whether the fit became likelier beyond any chance as its filter invented a force."""
+    return not was_interrupted(fit.search) and fit.deviance_gain > DEVIANCE
+
+
 def as_read(lanes: Lanes, between: BetweenRows) -> Lanes:
     """The lanes with their command as it acts: that of snapshots without the noise of its loop."""
     if between is HELD:
@@ -42,7 +47,7 @@ def as_rows_show(
     leaves no force missing, nothing else is tried. `problem` is the one that the fit began with; `between` is what the
     command is known to do.
     """
-    if was_interrupted(held.search) or (between is None and not held.deviance_gain > DEVIANCE):
+    if was_interrupted(held.search) or (between is None and not lacks_force(held)):
         return held
     without = problem._replace(lanes=as_read(problem.lanes, SMOOTH))
     steps, fits = held.steps, dict[tuple[BetweenRows, bool], RefinedFit]()
