@@ -41,7 +41,9 @@ def withheld(
     seed: Annotated[int | None, typer.Option(callback=seed_of, help="Seed of the machines; by default 0.")] = None,
     axis: Annotated[
         list[str] | None,
-        typer.Option(help="paper (default), gantry, linear or vertical; repeatable: machines of each in turn."),
+        typer.Option(
+            help="paper (default), gantry, linear, vertical, cnc or cnc-trace; repeatable: machines of each in turn."
+        ),
     ] = None,
     bench: Annotated[
         Path | None,

@@ -24,6 +24,7 @@ from jaxtyping import Array, Float
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.runtime import configure
 from diffdrive.support.atomic_write import atomic_write, write_text
+from experiments.studies.control import Control, Loop, command
 
 OFF = 0.3  # of a number of the data sheet, at most
 LEAST_STEPS = 8  # of Runge-Kutta to a control period
@@ -40,16 +41,6 @@ class Friction(NamedTuple):
     stiffness: Scalar  # N/m
     damping: Scalar  # N s/m
     exponent: Scalar
-
-
-class Control(NamedTuple):
-    """A cascade, or a PD with `kp` in N/m and `kd` in N s/m whose `ki` is zero."""
-
-    cascaded: Scalar  # 1 or 0
-    kp: Scalar
-    kv: Scalar
-    ki: Scalar
-    feedforward: Scalar
 
 
 class Machine(NamedTuple):
@@ -88,23 +79,17 @@ def run(
     samples: int,
 ) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
     """Scale, command and motor's encoder at each control sample; the speed is a difference over so many `samples`."""
-    control, step = machine.control, period / steps
+    step = period / steps
 
     def rounded(position: Scalar, noise: Scalar, resolution: Scalar) -> Scalar:
         return jnp.round((position + machine.noise * noise) / resolution) * resolution
 
     def body(carry, at):  # type: ignore[no-untyped-def]  # of a scan
-        state, integral, past, acting = carry
+        state, loop, acting = carry
         wanted, wanted_speed, noises = at
         motor = rounded(state[0] + machine.screw * acting, noises[1], 0.1 * machine.resolution)
         measured = rounded(state[0], noises[0], machine.resolution)
-        measured_speed = (measured - past[0]) / (samples * period)
-        missing = control.kp * (wanted - measured)
-        velocity_error = missing + control.feedforward * wanted_speed - measured_speed
-        summed = integral + control.ki * period * velocity_error
-        cascade = control.kv * velocity_error + summed
-        pd = missing + control.kv * (wanted_speed - measured_speed)
-        force = jnp.where(control.cascaded > 0.0, cascade, pd)
+        force, loop = command(machine.control, loop, wanted, wanted_speed, measured, period)
 
         def substep(state, _):  # type: ignore[no-untyped-def]
             k1 = _slope(machine, force, state)
@@ -114,10 +99,10 @@ def run(
             return state + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4), None
 
         ahead, _ = lax.scan(substep, state, None, length=steps)
-        return (ahead, summed, jnp.append(past[1:], measured), force), (measured, force, motor)
+        return (ahead, loop, force), (measured, force, motor)
 
     begin = jnp.array([0.0, 0.0, 0.0]).at[0].set(reference[0])
-    carry = (begin, jnp.zeros(()), jnp.full(samples, reference[0]), jnp.zeros(()))
+    carry = (begin, Loop(jnp.zeros(()), jnp.full(samples, reference[0])), jnp.zeros(()))
     return lax.scan(body, carry, (reference, speed, noise))[1]
 
 
@@ -230,12 +215,12 @@ def log_columns(axis: Axis, seconds: float, rng: np.random.Generator) -> dict[st
     steps = max(LEAST_STEPS, 2 ** math.ceil(math.log2(1.3 * axis.fastest * bristle * period / BENT)))
     noise = jnp.asarray(rng.standard_normal((len(reference), 2)))
     found = run(axis.machine, jnp.asarray(reference), jnp.asarray(speed), noise, period, steps, axis.samples)
-    position, command, motor = map(np.asarray, found)
+    position, asked, motor = map(np.asarray, found)
     columns = {
         "time": period * np.arange(len(reference)),
         "reference": reference,
         "position": position,
-        "command": command,
+        "command": asked,
     }
     if axis.has_motor:
         columns["motor_position"] = motor

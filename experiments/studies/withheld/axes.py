@@ -20,12 +20,15 @@ class StudyAxis(NamedTuple):
     noise: tuple[float, float]  # m, between which it is drawn
     rates: tuple[float, ...]  # Hz
     rate_probabilities: tuple[float, ...]  # of each rate
-    bandwidth: tuple[float, float]  # rad/s, of the position loop
+    bandwidth: tuple[float, float]  # rad/s, of the position loop; of a cascade that of the velocity loop
     length_ratio: float = 1.0  # strokes and speeds
     force_ratio: float = 1.0  # Coulomb friction
     load_ratio: float = 1.0  # load on the guides with a like share of the friction
     bristle_ratio: float = 1.0  # distance before sliding
     resolution_ratio: float = 1.0  # the scale's counts
+    cascaded: bool = False  # a cascade of position and speed, or a PD
+    samples_a_row: tuple[int, ...] = (1,)  # of the control, among which it is drawn; with several it is unknown
+    wind_up: float | None = None  # m/N, of the screw between table and a motor whose encoder is logged, too
 
     @property
     def resolution(self) -> float:
@@ -38,13 +41,31 @@ class StudyAxis(NamedTuple):
         force, length, bristle = self.force_ratio, self.length_ratio, self.bristle_ratio
         return {
             **dict.fromkeys(
-                ("constant", "cogging", "process", "process_mean", "chip", "dead", "peak", "droop_force"), force
+                (
+                    "constant",
+                    "cogging",
+                    "process",
+                    "process_mean",
+                    "chip",
+                    "dead",
+                    "peak",
+                    "droop_force",
+                    "spin",
+                    "step",
+                    "chain",
+                    "pulse",
+                ),
+                force,
             ),
+            "windage": force / length**2,
+            "lateness": bristle / length,
             **dict.fromkeys(("spring", "bumper"), force / length),
-            **dict.fromkeys(("neutral", "wave_period", "cogging_period", "chip_place", "chip_width"), length),
+            **dict.fromkeys(
+                ("neutral", "wave_period", "cogging_period", "chip_place", "chip_width", "chain_length"), length
+            ),
             "slope": 1.0 / length,
             "extra_load": self.load_ratio,
-            **dict.fromkeys(("slip", "longest", "gap"), bristle),
+            **dict.fromkeys(("slip", "longest", "gap", "play"), bristle),
             **dict.fromkeys(("lead_error", "interpolation"), self.resolution_ratio),
             "interpolation_period": max(self.resolution_ratio, 1.0),
             "stiffness": float(self.drive.plant.mass) / float(presets.paper_drive().plant.mass),
@@ -69,15 +90,15 @@ def _drive(axis: Drive, mass: float, constant: float, friction: Friction, dampin
 
 
 def _gantry() -> StudyAxis:
-    """600 kg on roller guides, a CNC's clock, counts of 0.5 um."""
+    """600 kg on roller guides, a CNC's clock and cascade, counts of 0.5 um, an encoder on the motor, too."""
     friction = Friction(
         coulomb_screw=_both(200.0), load_coefficient=_both(4e-3), initial_load=12e3, breakaway_gap=_both(60.0),
         stribeck_velocity=_both(3e-3), viscous=_both(1000.0), bristle_stiffness=_both(4e7), bristle_damping=_both(8e3),
     )  # fmt: skip
     drive = _drive(presets.paper_drive(), 600.0, 0.0, friction, 200.0, 5e-7)
-    return StudyAxis(drive, (5e-8, 2e-7), (500.0, 1000.0, 2000.0), (0.3, 0.5, 0.2), (80.0, 130.0),
+    return StudyAxis(drive, (5e-8, 2e-7), (500.0, 1000.0, 2000.0), (0.3, 0.5, 0.2), (40.0, 100.0),
                      length_ratio=4.0, force_ratio=3.5, load_ratio=0.32, bristle_ratio=3.0,
-                     resolution_ratio=5.0)  # fmt: skip
+                     resolution_ratio=5.0, cascaded=True, wind_up=5e-9)  # fmt: skip
 
 
 def _linear() -> StudyAxis:
@@ -105,7 +126,26 @@ def _vertical() -> StudyAxis:
                      resolution_ratio=2.0)  # fmt: skip
 
 
-AXES = {"paper": _paper(), "gantry": _gantry(), "linear": _linear(), "vertical": _vertical()}
+def _cnc() -> StudyAxis:
+    """450 kg of a machining centre under a cascade at 4 kHz, counts of 0.1 um."""
+    friction = Friction(
+        coulomb_screw=_both(180.0), load_coefficient=_both(3.5e-3), initial_load=20e3, breakaway_gap=_both(75.0),
+        stribeck_velocity=_both(3e-3), viscous=_both(1300.0), bristle_stiffness=_both(8e7),
+        bristle_damping=_both(1.9e5),
+    )  # fmt: skip
+    drive = _drive(presets.paper_drive(), 450.0, 0.0, friction, 150.0, 1e-7)
+    return StudyAxis(drive, (2e-8, 8e-8), (4000.0,), (1.0,), (150.0, 350.0),
+                     length_ratio=2.5, force_ratio=3.5, load_ratio=0.37, bristle_ratio=1.5, cascaded=True)  # fmt: skip
+
+
+AXES = {
+    "paper": _paper(),
+    "gantry": _gantry(),
+    "linear": _linear(),
+    "vertical": _vertical(),
+    "cnc": _cnc(),
+    "cnc-trace": _cnc()._replace(samples_a_row=(4, 8)),
+}
 
 
 def axes_named(names: tuple[str, ...]) -> tuple[StudyAxis, ...]:

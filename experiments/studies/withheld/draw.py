@@ -7,6 +7,7 @@ import numpy as np
 
 from diffdrive.model.parameters import Drive, Friction, Plant
 from diffdrive.model.quantity import Directional
+from experiments.studies.control import Control
 from experiments.studies.withheld.axes import AXES, StudyAxis
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, InjectedFault, log_uniform
 from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure
@@ -21,8 +22,11 @@ class WithheldCase(NamedTuple):
 
     nominal: Drive
     true: Drive
-    gains: tuple[float, float]
-    rate: float
+    control: Control
+    samples: int  # of the control, over which its speed is a difference
+    rate: float  # Hz, of the control
+    samples_a_row: int  # of the control, of which a log has the first
+    wind_up: float | None  # m/N, of the screw between table and a motor whose encoder is logged, too
     faults: tuple[InjectedFault, ...]
     inputs: tuple[MachineInputs, MachineInputs]
     noise: float
@@ -60,7 +64,7 @@ def _scaled_drive(drive: Drive, factors: dict[str, float]) -> Drive:
 
 def draw(rng: np.random.Generator, effects: tuple[str, ...], axis: StudyAxis = AXES["paper"]) -> WithheldCase:
     """A machine with these effects, of sizes drawn at random."""
-    base, load_rng = axis.drive, rng.spawn(1)[0]
+    base, (load_rng, loop_rng) = axis.drive, rng.spawn(2)
     factors = {name: float(np.exp(rng.normal(0, 0.1))) for name in ("mass", "coulomb_screw", "viscous")}
     factors |= {name: float(np.exp(rng.normal(0, 0.3))) for name in ("bristle_stiffness", "bristle_damping")}
     factors["initial_load"] = float(np.exp(load_rng.normal(0, 0.2)))
@@ -73,6 +77,8 @@ def draw(rng: np.random.Generator, effects: tuple[str, ...], axis: StudyAxis = A
     sizes = np.exp(rng.uniform(np.log(MIN_SIZE), np.log(MAX_SIZE), len(effects)))
     if len(effects) > 1:
         sizes = np.maximum(sizes, 1.5)
+    if any(name in OUTSIDE for name in effects):
+        sizes = np.maximum(sizes, 1.0)  # what does not show is rightly none
     makers = KNOWN | OUTSIDE | PITFALLS
     drawn = [makers[name](rng, float(size)) for name, size in zip(effects, sizes, strict=True)]
     faults = tuple(_scaled_to_axis(fault, axis) for fault in drawn)
@@ -80,15 +86,38 @@ def draw(rng: np.random.Generator, effects: tuple[str, ...], axis: StudyAxis = A
     for fault in faults:
         true = _scaled_drive(true, fault.drive_factors)
     rate = float(rng.choice(axis.rates, p=axis.rate_probabilities))
-    bandwidth = log_uniform(rng, axis.bandwidth)  # rad/s
-    kp, kd = float(nominal.plant.mass) * bandwidth**2, 0.6 * float(nominal.plant.mass) * bandwidth
+    control, samples = _control(loop_rng, axis, float(nominal.plant.mass), log_uniform(rng, axis.bandwidth))
+    samples_a_row = int(loop_rng.choice(axis.samples_a_row))
     noise = float(rng.uniform(*axis.noise))
     random_scales = {name: scale for fault in faults for name, scale in fault.random_scales.items()}
-    arguments = (rate, noise, random_scales, axis.length_ratio, axis.load_ratio)
+    has_motor = axis.wind_up is not None
+    arguments = (rate, noise, random_scales, axis.length_ratio, axis.load_ratio, loop_rng if has_motor else None)
     logs = draw_inputs(rng, load_rng, *arguments), draw_inputs(rng, load_rng, *arguments)
     faults = tuple(_placed(fault, logs) for fault in faults)
     pitfall = any(name in PITFALLS for name in effects)
-    return WithheldCase(nominal, true, (kp, kd), rate, faults, logs, noise, axis.resolution, pitfall)
+    return WithheldCase(
+        nominal,
+        true,
+        control,
+        samples,
+        rate,
+        samples_a_row,
+        axis.wind_up,
+        faults,
+        logs,
+        noise,
+        axis.resolution,
+        pitfall,
+    )
+
+
+def _control(rng: np.random.Generator, axis: StudyAxis, mass: float, bandwidth: float) -> tuple[Control, int]:
+    """The controller of a bandwidth (rad/s), and the samples of its speed; each loop is slower than the one within."""
+    if not axis.cascaded:
+        return Control(0.0, mass * bandwidth**2, 0.6 * mass * bandwidth), 1
+    gain = mass * bandwidth
+    kp, ki = bandwidth / log_uniform(rng, (3.5, 8.0)), gain * bandwidth / log_uniform(rng, (3.0, 8.0))
+    return Control(1.0, kp, gain, ki, float(rng.choice([0.0, 0.9, 1.0]))), int(rng.choice([1, 2, 4]))
 
 
 def _scaled_to_axis(fault: InjectedFault, axis: StudyAxis) -> InjectedFault:

@@ -250,6 +250,64 @@ def _wandering(rng: np.random.Generator, size: float) -> InjectedFault:
     return _fault("wandering_friction", size, random_scales={"share": 0.03 * size})
 
 
+def _run_up(rng: np.random.Generator, size: float) -> InjectedFault:
+    """A spindle out of balance, whose force grows with the square of its speed."""
+    parameters: Parameters = {
+        "spin": 2.0 * size,
+        "spin_start": tuple(rng.uniform(0.5, 3.0, 2)),
+        "spin_rise": float(rng.uniform(10.0, 40.0)),
+        "spin_fastest": float(rng.uniform(60.0, 180.0)),
+    }
+    return _fault("run_up", size, parameters)
+
+
+def _coarse_command(rng: np.random.Generator, size: float) -> InjectedFault:
+    """A command that the power stage takes in counts."""
+    return _fault("coarse_command", size, {"step": 4.0 * size})
+
+
+def _loose_head(rng: np.random.Generator, size: float) -> InjectedFault:
+    """A reading head that follows the table with some play."""
+    return _fault("loose_head", size, {"play": 4e-7 * size})
+
+
+def _frictional_lag(rng: np.random.Generator, size: float) -> InjectedFault:
+    """A Stribeck curve that the film of oil follows late (Hess and Soom 1990)."""
+    return _fault("frictional_lag", size, {"film_time": 6e-3 * size})
+
+
+def _clock_jitter(rng: np.random.Generator, size: float) -> InjectedFault:
+    return _fault("clock_jitter", size, random_scales={"lateness": 4e-6 * size})
+
+
+def _commutation(rng: np.random.Generator, size: float) -> InjectedFault:
+    """A force constant that comes and goes along the motor: of cogging it is told by the command."""
+    parameters = {
+        "commutation": min(0.04 * size, 0.3),
+        "commutation_period": log_uniform(rng, POLES),
+        "commutation_phase": float(rng.uniform(0, 6.28)),
+    }
+    return _fault("commutation", size, parameters)
+
+
+def _cable_chain(rng: np.random.Generator, size: float) -> InjectedFault:
+    """It takes millimetres to be bent the other way."""
+    return _fault("cable_chain", size, {"chain": 3.0 * size, "chain_length": float(rng.uniform(2e-3, 8e-3))})
+
+
+def _windage(rng: np.random.Generator, size: float) -> InjectedFault:
+    return _fault("windage", size, {"windage": 6.0 * size / 0.09**2})
+
+
+def _lubrication(rng: np.random.Generator, size: float) -> InjectedFault:
+    return _fault("lubrication", size, random_scales={"oil": 0.06 * size})
+
+
+def _neighbour(rng: np.random.Generator, size: float) -> InjectedFault:
+    """Another axis that starts and stops."""
+    return _fault("neighbour", size, random_scales={"pulse": 3.0 * size})
+
+
 def _swallowed_frame(rng: np.random.Generator, size: float) -> InjectedFault:
     """Above the loop's bandwidth and well damped: it looks like a softer bristle and some delay."""
     parameters = {
@@ -290,6 +348,19 @@ KNOWN: dict[str, Callable[[np.random.Generator, float], InjectedFault]] = {
     "lead_error": _lead_error,
     "interpolation_error": _interpolation_error,
 }
+# outside the catalogue, and in no study while the engine was shaped
+UNSEEN: dict[str, Callable[[np.random.Generator, float], InjectedFault]] = {
+    "run_up": _run_up,
+    "coarse_command": _coarse_command,
+    "loose_head": _loose_head,
+    "frictional_lag": _frictional_lag,
+    "clock_jitter": _clock_jitter,
+    "commutation": _commutation,
+    "cable_chain": _cable_chain,
+    "windage": _windage,
+    "lubrication": _lubrication,
+    "neighbour": _neighbour,
+}
 OUTSIDE: dict[str, Callable[[np.random.Generator, float], InjectedFault]] = {
     "chip": _chip,
     "droop": _droop,
@@ -299,6 +370,7 @@ OUTSIDE: dict[str, Callable[[np.random.Generator, float], InjectedFault]] = {
     "dead_time": _dead_time,
     "fading_magnets": _fading_magnets,
     "bumper": _bumper,
+    **UNSEEN,
 }
 PLACED = {"dent": "chip_place", "bumper": "bumper_place"}  # drawn as shares of the stroke, so that the table gets there
 PITFALLS: dict[str, Callable[[np.random.Generator, float], InjectedFault]] = {

@@ -1,5 +1,6 @@
 """Cases as a user would have them, a drive file and two logs each; the key to them is written elsewhere."""
 
+import dataclasses
 import functools
 import hashlib
 import inspect
@@ -13,23 +14,25 @@ import numpy as np
 
 from diffdrive.axis import Axis
 from diffdrive.axis_file.drive_file import write_axis
-from diffdrive.controllers import PD, PDGains, Tracking
+from diffdrive.controllers import PD, Cascade, Controller, PDGains, Tracking, UnknownController
 from diffdrive.errors import DivergenceError, ParameterError
 from diffdrive.logs import Log, write_log
-from diffdrive.model.parameters import Sampling
+from diffdrive.model.parameters import Sampling, Sensor
+from diffdrive.model.trace import Trace
 from diffdrive.motion.motion import Limits
 from diffdrive.support.atomic_write import remove_temporary, write_text
+from experiments.studies import control
 from experiments.studies.withheld import axes, faults, machine, motions
 from experiments.studies.withheld import draw as draws
 from experiments.studies.withheld import truth as truths
 from experiments.studies.withheld.axes import AXES, StudyAxis
 from experiments.studies.withheld.draw import WithheldCase, draw, log_faults, without_fault
-from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS
-from experiments.studies.withheld.machine import run
+from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, UNSEEN
+from experiments.studies.withheld.machine import MOTOR_SHARE, run
 from experiments.studies.withheld.records import CaseKey, Key
 from experiments.studies.withheld.truth import true_parameters
 
-NONE_SHARE, TWO_SHARE, UNKNOWN_SHARE, PITFALL_SHARE = 0.12, 0.12, 0.12, 0.05  # shares of cases
+NONE_SHARE, TWO_SHARE, UNKNOWN_SHARE, PITFALL_SHARE = 0.16, 0.16, 0.16, 0.05  # shares of cases
 # a loose screw is an elastic one; and a spring beside a tilt is a spring that is neutral elsewhere
 EQUIVALENT = ({"compliance", "backlash"}, {"constant_force", "position_spring"})
 ATTEMPTS = 10  # at a machine whose loop is stable and whose effects are visible
@@ -42,7 +45,8 @@ def draw_effects(seed: int, count: int) -> list[tuple[str, ...]]:
     names, pitfalls = list(KNOWN), list(PITFALLS)
     mixed: list[tuple[str, ...]] = [()] * round(NONE_SHARE * count)
     mixed += [_draw_pair(rng, names) for _ in range(round(TWO_SHARE * count))]
-    mixed += [(str(rng.choice(list(OUTSIDE))),) for _ in range(round(UNKNOWN_SHARE * count))]
+    unseen = rng.permutation(list(UNSEEN))
+    mixed += [(str(unseen[k % len(unseen)]),) for k in range(round(UNKNOWN_SHARE * count))]
     remaining = count - len(mixed)
     with_pitfall = round(PITFALL_SHARE * count)
     singles: list[tuple[str, ...]] = [(names[k % len(names)],) for k in range(remaining - with_pitfall)]
@@ -58,17 +62,30 @@ def _draw_pair(rng: np.random.Generator, names: list[str]) -> tuple[str, ...]:
             return pair
 
 
-def _follows(log: Log) -> bool:
+def seen_in_place_of(effect: str, axis: StudyAxis) -> str:
+    """The effect that is drawn for an axis: a scale beside the motor does not see the screw, but has its own waves."""
+    return "interpolation_error" if effect == "lead_error" and axis.wind_up is not None else effect
+
+
+def _follows(case: WithheldCase, log: Log) -> bool:
     assert log.reference is not None
-    return bool(np.all(np.abs(log.position - log.reference) < 2e-3))
+    behind = case.control.following_error(float(np.abs(np.diff(log.reference)).max() * log.rate))
+    return bool(np.all(np.abs(log.position - log.reference) < 2e-3 + behind))
 
 
 def _simulate_log(case: WithheldCase, log: int, peak: float | None = None) -> Log:
     inputs = case.inputs[log]
     faults, structure = log_faults(case, log, peak)
-    position, command = run(case.true, faults, structure, case.gains, case.resolution, inputs, case.rate)
-    time = np.arange(len(position)) / case.rate
-    return Log("ab"[log], time, position, command, reference=np.asarray(inputs.reference), load=np.asarray(inputs.load))
+    seen = run(
+        case.true, faults, structure, case.control, case.resolution, inputs, case.rate, case.samples,
+        case.wind_up or 0.0,
+    )  # fmt: skip
+    row = slice(None, None, case.samples_a_row)
+    return Log(
+        "ab"[log], (np.arange(len(seen.position)) / case.rate)[row], seen.position[row], seen.command[row],
+        reference=np.asarray(inputs.reference)[row], load=np.asarray(inputs.load)[row],
+        motor_position=None if seen.motor is None else seen.motor[row],
+    )  # fmt: skip
 
 
 def _is_visible(case: WithheldCase, logs: list[Log], peak: float | None) -> bool:
@@ -103,6 +120,7 @@ def key_of(case: WithheldCase, peak: float | None = None) -> CaseKey:
             for fault in case.faults
         ],
         "rate": case.rate,
+        "samples_a_row": case.samples_a_row,
         "pitfall": case.pitfall,
     }
 
@@ -119,6 +137,7 @@ def generate(
     remove_temporary(parts)
     for number, effects in enumerate(draw_effects(seed, count)):
         name, axis = f"{number + 1:03d}", drive_axes[number % len(drive_axes)]
+        effects = tuple(seen_in_place_of(effect, axis) for effect in effects)
         drawn = {"seed": seed, "of": count, "axis": repr(axis), "by": source_digest()}
         part = parts / f"{name}.json"
         exists = part.exists() and (folder / name / "drive.toml").exists()
@@ -138,7 +157,8 @@ def generate(
 def source_digest() -> str:
     """A digest of the sources that draw and integrate machines: those of two editions are not one study."""
     parts = [
-        inspect.getsource(module) for module in (axes, draws, faults, machine, motions, truths, sys.modules[__name__])
+        inspect.getsource(module)
+        for module in (axes, control, draws, faults, machine, motions, truths, sys.modules[__name__])
     ]
     parts += [repr(AXES["paper"].drive), *(version(name) for name in ("diffrax", "jax", "jaxlib", "numpy"))]
     return hashlib.sha256("".join(parts).encode()).hexdigest()
@@ -150,7 +170,7 @@ def _draw_followable(
     for attempt in range(ATTEMPTS):
         case = draw(np.random.default_rng([seed, 1 + number, attempt]), effects, axis)
         logs, peak = _simulate_logs(case)
-        if all(_follows(log) for log in logs) and _is_visible(case, logs, peak):
+        if all(_follows(case, log) for log in logs) and _is_visible(case, logs, peak):
             return case, logs, peak
     raise DivergenceError(f"case {number + 1} ({', '.join(effects)}) does not follow its reference or show its effects")
 
@@ -164,8 +184,21 @@ def _write_case(folder: Path, case: WithheldCase, logs: list[Log]) -> None:
 
 
 def _nominal_axis(case: WithheldCase) -> Axis:
-    kp, kd = case.gains
-    return Axis(case.nominal, PD(Tracking(PDGains(kp, kd))), Sampling(case.rate, 10), Limits())
+    drive = case.nominal
+    if case.wind_up is not None:
+        drive = dataclasses.replace(drive, motor_encoder=Sensor(MOTOR_SHARE * case.resolution, 0.0))
+    trace = Trace(rate=case.rate / case.samples_a_row) if case.samples_a_row > 1 else Trace()
+    return Axis(drive, _nominal_controller(case), Sampling(case.rate, 10), Limits(), trace=trace)
+
+
+def _nominal_controller(case: WithheldCase) -> Controller:
+    """As it is; of a trace slower than the loop it is unknown."""
+    cascaded, kp, kv, ki, feedforward = map(float, case.control)
+    if case.samples_a_row > 1:
+        return UnknownController()
+    if cascaded:
+        return Cascade(kp, kv, ki, feedforward, velocity_samples=case.samples)
+    return PD(Tracking(PDGains(kp, kv)))
 
 
 def write_key(path: Path, parts: Path) -> Key:

@@ -2,7 +2,8 @@
 
 Nothing of the simulator that the diagnosis fits is used: the equations are written out again as one set of ordinary
 differential equations, and diffrax's Tsit5 integrates each control period to `TOLERANCE`. A period begins with the
-measurement (noise, then the scale's resolution); the PD's command follows from it without delay and is held.
+measurement (noise, then the scale's resolution); the controller's command follows from it without delay and is held. A
+motor's encoder reads the motor and, where that is fixed to the table, how far the force winds its screw up.
 
     table   M (a + a_b) = S - r F(v) + pushes            motor   s M (a + a_q) = f - (1 - r) F(v + v_q) - S
     base    a_b + 2 zeta w v_b + w^2 x_b = -ratio (reaction) / M      lag     tau df/dt = u - f
@@ -21,12 +22,14 @@ from jaxtyping import Array, Float
 
 from diffdrive.model.parameters import Drive
 from diffdrive.numerics.arrays import Scalar, as_arrays
+from experiments.studies.control import Control, Loop, command
 
 TOLERANCE = 1e-8
 ELEMENTS = 10  # Maxwell elements, their slip distances evenly spread up to the longest
 MAX_DELAY = 8
 MAX_STEPS = 20_000  # of a control period
-DIVERGED = 5e-3  # m off the reference
+DIVERGED = 5e-3  # m off the reference, beyond what a cascade is behind it anyway
+MOTOR_SHARE = 0.1  # of the resolution and noise of the scale, that a motor's encoder has
 DEAD_TIME_ROUNDING = 5.0  # N, about which an inverter's dead time takes its full toll
 
 
@@ -93,6 +96,20 @@ class FaultParameters(NamedTuple):
     fading_time: Scalar = 5.0  # s
     bumper: Scalar = 0.0  # N/m, outside the catalogue: a spring that is met beyond some place
     bumper_place: Scalar = 1.0  # m
+    # outside the catalogue, too, and in no study before the second design of the diagnosis
+    spin: Scalar = 0.0  # N, of a spindle's unbalance while it runs up
+    spin_start: Scalar = 0.0  # s
+    spin_rise: Scalar = 20.0  # Hz/s
+    spin_fastest: Scalar = 150.0  # Hz
+    step: Scalar = 0.0  # N, of the command's counts
+    play: Scalar = 0.0  # m, of the scale's reading head
+    film_time: Scalar = 0.0  # s, by which the film of oil, and with it the friction, lags behind the speed
+    commutation: Scalar = 0.0  # share of the force, that comes and goes along the motor
+    commutation_period: Scalar = 1e-3  # m
+    commutation_phase: Scalar = 0.0
+    chain: Scalar = 0.0  # N, of a cable chain that is bent to and fro
+    chain_length: Scalar = 5e-3  # m, in which it is
+    windage: Scalar = 0.0  # N s^2/m^2
 
 
 class MachineStructure(NamedTuple):
@@ -117,6 +134,8 @@ class MachineState(NamedTuple):
     force: Scalar  # N, behind the lag
     age: Scalar  # s
     elements: Float[Array, " e"]
+    film: Scalar  # m/s, speed that the film of oil has got used to
+    chain: Scalar  # 1, how far a cable chain is bent
 
 
 Signal = Float[Array, " n"] | Float[np.ndarray, " n"]
@@ -130,10 +149,20 @@ class MachineInputs(NamedTuple):
     noise: Signal  # m
     disturbance: Signal  # N, outside the catalogue
     friction_share: Signal  # share of Coulomb friction, outside the catalogue
+    motor_noise: Signal | None = None  # 1, of unit variance; of an axis with a motor's encoder
+    lateness: Signal | None = None  # s, by which a sample is taken late, outside the catalogue
 
 
 _RateArguments = tuple[Drive, FaultParameters, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
-_Carry = tuple[MachineState, Array, Array, Array]  # state, forces newest first, last error, count
+_Carry = tuple[MachineState, Array, Loop, Array, Array]  # state, forces newest first, controller, head (m), count
+
+
+class MachineSignals(NamedTuple):
+    """What the machine shows at each control sample, [n] each."""
+
+    position: Float[np.ndarray, " n"]  # m, of the scale
+    command: Float[np.ndarray, " n"]  # N
+    motor: Float[np.ndarray, " n"] | None  # m, of the motor's encoder
 
 
 def _window(t: Scalar, start: Scalar, end: Scalar, edge: float) -> Scalar:
@@ -154,6 +183,7 @@ def _friction(
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Friction with damping (N), the bristle's rate (m/s), and the level (N)."""
     friction, speed = drive.friction, jnp.abs(v)
+    shown = jnp.where(jnp.asarray(f.film_time) > 0.0, jnp.abs(s.film), speed)
     extra_load = f.extra_load * _window(t, f.load_start, f.load_end, 0.05)
     wave = f.wave * jnp.sin(2 * jnp.pi * x / f.wave_period + f.wave_phase)
     position_factor = 1.0 + f.slope * (x - f.middle) + wave + friction_share
@@ -166,7 +196,7 @@ def _friction(
         )
         level = level * position_factor * (1.0 + f.drift_coulomb * warm) + f.chip * spot
         gap = friction.breakaway_gap.towards(direction) * (1.0 + f.growth * jnp.log1p(s.age / f.onset))
-        fast, exponent = speed / friction.stribeck_velocity.towards(direction), friction.stribeck_exponent
+        fast, exponent = shown / friction.stribeck_velocity.towards(direction), friction.stribeck_exponent
         return level + gap * jnp.exp(-(fast if exponent is None else fast**exponent))
 
     level = level_of(v)
@@ -184,6 +214,8 @@ def _rates(t: Scalar, s: MachineState, args: _RateArguments, *, structure: Machi
     drive, f, now, later, switch, load, disturbance, friction_share = args
     command = jnp.where(t < switch, now, later)
     force = s.force if structure.lagging else command
+    along_motor = 2 * jnp.pi * s.x / f.commutation_period + f.commutation_phase
+    force = force * (1.0 + f.commutation * jnp.sin(along_motor))
     mass = drive.plant.mass
     external_force = disturbance + f.constant + drive.plant.constant_force - f.spring * (s.x - f.neutral)
     external_force = external_force - f.bumper * jnp.maximum(s.x - f.bumper_place, 0.0)
@@ -194,6 +226,13 @@ def _rates(t: Scalar, s: MachineState, args: _RateArguments, *, structure: Machi
     process_phase = 2 * jnp.pi * f.process_frequency * t + f.process_phase
     process_force = f.process * (jnp.sin(process_phase) + 0.3 * jnp.sin(2 * process_phase)) + f.process_mean
     external_force = external_force + process_force * _window(t, f.process_start, f.process_end, 0.01)
+    running = jnp.maximum(t - f.spin_start, 0.0)
+    run_up_time = f.spin_fastest / f.spin_rise
+    turns = 0.5 * f.spin_rise * jnp.minimum(running, run_up_time) ** 2
+    turns = turns + f.spin_fastest * jnp.maximum(running - run_up_time, 0.0)
+    speed_share = jnp.minimum(running / run_up_time, 1.0)
+    external_force = external_force + f.spin * speed_share**2 * jnp.sin(2 * jnp.pi * turns)
+    external_force = external_force - f.chain * s.chain - f.windage * s.v * jnp.abs(s.v)
     friction, rate, _ = _friction(drive, f, structure, s, s.v, s.z, s.x, load, friction_share, t)
     zero = jnp.zeros_like(s.x)
     motor_acceleration: Scalar = zero
@@ -233,6 +272,8 @@ def _rates(t: Scalar, s: MachineState, args: _RateArguments, *, structure: Machi
         force=(command - s.force) / f.lag if structure.lagging else zero,
         age=1.0 - jnp.abs(s.v) * s.age / f.slip,
         elements=elements,
+        film=jnp.where(jnp.asarray(f.film_time) > 0.0, (s.v - s.film) / jnp.maximum(f.film_time, 1e-6), 0.0),
+        chain=jnp.where((s.chain * jnp.sign(s.v) >= 1.0) & (s.v != 0.0), 0.0, s.v / f.chain_length),
     )
 
 
@@ -240,44 +281,59 @@ def _rates(t: Scalar, s: MachineState, args: _RateArguments, *, structure: Machi
 def _run(
     drive: Drive,
     f: FaultParameters,
-    kp: Scalar,
-    kd: Scalar,
+    control: Control,
     resolution: Scalar,
+    wind_up: Scalar,
+    behind: Scalar,
+    speed: Float[Array, " n"],
     inputs: MachineInputs,
     rate: float,
+    samples: int,
     structure: MachineStructure,
-) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+) -> tuple[Array, Array, Array | None]:
     period = 1.0 / rate
     term = diffrax.ODETerm(partial(_rates, structure=structure))
     unit = jnp.ones(())
     scales = MachineState(1e-10 * unit, 1e-8 * unit, 1e-12 * unit, 1e-12 * unit, 1e-8 * unit, 1e-12 * unit,
-                          1e-12 * unit, 1e-9 * unit, 1e-5 * unit, 1e-4 * unit, 1e-6 * jnp.ones(ELEMENTS))  # fmt: skip
+                          1e-12 * unit, 1e-9 * unit, 1e-5 * unit, 1e-4 * unit, 1e-6 * jnp.ones(ELEMENTS),
+                          1e-8 * unit, 1e-6 * unit)  # fmt: skip
 
     def norm(error: MachineState) -> Scalar:
         return jnp.max(jnp.stack([jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(error)]))
 
-    control = diffrax.PIDController(rtol=TOLERANCE, atol=1.0, norm=norm)
+    adaptive = diffrax.PIDController(rtol=TOLERANCE, atol=1.0, norm=norm)
     scaled = diffrax.ODETerm(
         lambda t, y, args: jax.tree.map(
             lambda dy, k: dy / k, term.vf(t, jax.tree.map(jnp.multiply, y, scales), args), scales
         )
     )
 
-    def sample(carry: _Carry, sample_inputs: MachineInputs) -> tuple[_Carry, tuple[Array, Array]]:
-        state, forces, last_error, k = carry
-        reference, load, noise, disturbance, friction_share = cast(tuple[Array, ...], sample_inputs)
+    def sample(carry: _Carry, along: tuple[Array, MachineInputs]) -> tuple[_Carry, tuple[Array, Array, Array | None]]:
+        state, forces, loop, head, k = carry
+        wanted_speed, inputs = along
+        reference, load, noise, disturbance, friction_share = cast(tuple[Array, ...], inputs[:5])
+        motor_noise, lateness = inputs[5:]
         time = k * period
-        reading = state.x + f.lead_error * jnp.cos(2 * jnp.pi * state.x / f.lead + f.lead_phase) + f.linear * state.x
+        head = jnp.clip(head, state.x - 0.5 * f.play, state.x + 0.5 * f.play)
+        reading = head + f.lead_error * jnp.cos(2 * jnp.pi * state.x / f.lead + f.lead_phase) + f.linear * state.x
         angle = 2 * jnp.pi * state.x / f.interpolation_period + f.interpolation_phase
         reading = reading + f.interpolation * jnp.sin(angle) + noise
+        reading = reading if lateness is None else reading + lateness * state.v
         measured = resolution * jnp.round(reading / resolution)
-        error = reference - measured
-        command = kp * error + kd * (error - jnp.where(k == 0, error, last_error)) * rate
-        force = jnp.clip((1.0 + f.gain) * command, -f.limit, f.limit)
+        motor = None
+        if motor_noise is not None:
+            fine = MOTOR_SHARE * resolution
+            wound = state.q if structure.elastic else wind_up * forces[0]
+            motor = fine * jnp.round((state.x + wound) / fine + motor_noise)
+        loop = loop._replace(past=jnp.where(k == 0, measured, loop.past))
+        asked, loop = command(control, loop, reference, wanted_speed, measured, period)
+        force = jnp.clip((1.0 + f.gain) * asked, -f.limit, f.limit)
         force = force * (1.0 - f.droop * jnp.abs(force) / f.droop_force)
         force = force * (1.0 - f.fading * (1.0 - jnp.exp(-time / f.fading_time)))
         # no more than there is
         force = force - f.dead * jnp.tanh(force / jnp.maximum(f.dead, DEAD_TIME_ROUNDING))
+        count = jnp.maximum(f.step, 1e-9)
+        force = jnp.where(jnp.asarray(f.step) > 0.0, count * jnp.round(force / count), force)
         forces = jnp.concatenate([force[None], forces[:-1]])
         whole_delay = jnp.floor(f.delay).astype(int)
         later, now = forces[whole_delay], forces[whole_delay + 1]
@@ -289,35 +345,52 @@ def _run(
             solution = diffrax.diffeqsolve(
                 scaled, diffrax.Tsit5(), time, time + period, 0.05 * period, scaled_state, args,
                 # a step across the instant at which a late command arrives would blur it by nanometres
-                stepsize_controller=diffrax.ClipStepSizeController(control, jump_ts=switch[None]),
+                stepsize_controller=diffrax.ClipStepSizeController(adaptive, jump_ts=switch[None]),
                 max_steps=MAX_STEPS, throw=False,
                 saveat=diffrax.SaveAt(t1=True), adjoint=diffrax.ForwardMode(),
             )  # fmt: skip
             return jax.tree.map(lambda y, scale: y[-1] * scale, solution.ys, scales)
 
         # a machine that has diverged is not integrated any further
-        next_state = lax.cond(jnp.abs(error) < DIVERGED, advance, lambda state: state, state)
+        follows = jnp.abs(reference - measured) < DIVERGED + behind
+        next_state = lax.cond(follows, advance, lambda state: state, state)
         next_state = next_state._replace(
-            elements=jnp.clip(next_state.elements, -1.0, 1.0), age=jnp.maximum(next_state.age, 0.0)
+            elements=jnp.clip(next_state.elements, -1.0, 1.0),
+            age=jnp.maximum(next_state.age, 0.0),
+            chain=jnp.clip(next_state.chain, -1.0, 1.0),
         )
-        return (next_state, forces, error, k + 1.0), (measured, command)
+        return (next_state, forces, loop, head, k + 1.0), (measured, asked, motor)
 
     zero = jnp.zeros(())
-    at_rest = MachineState(zero, zero, zero, zero, zero, zero, zero, zero, zero, f.rested + zero, jnp.zeros(ELEMENTS))
+    still = (zero,) * 9
+    at_rest = MachineState(*still, f.rested + zero, jnp.zeros(ELEMENTS), zero, zero)
     start = at_rest._replace(x=inputs.reference[0])
-    carry = (start, jnp.zeros(MAX_DELAY + 2), zero, zero)
-    return lax.scan(sample, carry, inputs)[1]
+    carry = (start, jnp.zeros(MAX_DELAY + 2), Loop(zero, jnp.zeros(samples)), jnp.asarray(start.x), zero)
+    return lax.scan(sample, carry, (speed, inputs))[1]
 
 
 def run(
     drive: Drive,
     faults: FaultParameters,
     structure: MachineStructure,
-    gains: tuple[float, float],
+    control: Control,
     resolution: float,
     inputs: MachineInputs,
     rate: float,
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Measured position (m) and command (N) of a machine under PD control; `gains` are kp (N/m) and kd (N s/m)."""
-    signals = _run(*as_arrays((drive, faults, *gains, resolution, inputs)), rate, structure)
-    return np.asarray(signals[0]), np.asarray(signals[1])
+    samples: int = 1,
+    wind_up: float = 0.0,
+) -> MachineSignals:
+    """What a machine shows under a controller whose speed is a difference over so many `samples`.
+
+    `resolution` (m) is the scale's, `wind_up` (m/N) that of the screw of a motor that is fixed to the table. A PD takes
+    the speed of the reference as it takes the table's, a cascade knows it.
+    """
+    reference = np.asarray(inputs.reference)
+    speed = rate * (np.gradient(reference) if control.cascaded else np.diff(reference, prepend=reference[0]))
+    behind = control.following_error(float(np.abs(speed).max()))
+    drive, faults, control, inputs = as_arrays((drive, faults, control, inputs))
+    scalars = as_arrays((resolution, wind_up, behind))
+    position, asked, motor = _run(
+        drive, faults, control, *scalars, jnp.asarray(speed), inputs, rate, samples, structure
+    )
+    return MachineSignals(np.asarray(position), np.asarray(asked), None if motor is None else np.asarray(motor))

@@ -61,11 +61,12 @@ def draw_inputs(
     random_scales: dict[str, float],
     length: float,
     load: float,
+    motor_rng: np.random.Generator | None = None,
 ) -> MachineInputs:
     """The inputs of one log at `rate` (Hz) under `noise` (m, rms); `random_scales` as in `faults.InjectedFault`.
 
     Motions are `length` times as long and as fast as on the paper's axis, loads `load` times as large; the load is
-    drawn from `load_rng`.
+    drawn from `load_rng`, and from `motor_rng` the noise of a motor's encoder, where there is one.
     """
     reference = length * draw_reference(rng, rate)
     n = len(reference)
@@ -76,11 +77,23 @@ def draw_inputs(
             k = int(time * rate)
             peak = random_scales["peak"] * np.exp(rng.normal(0, 0.4)) * rng.choice([-1, 1])
             disturbance[k : k + width] += peak * np.sin(np.pi * (np.arange(width) + 0.5) / width)
+    if "pulse" in random_scales:  # a neighbour that starts and stops
+        for time in rng.uniform(0.5, n / rate - 0.5, rng.integers(10, 25)):
+            k, width = int(time * rate), max(2, round(rng.uniform(0.03, 0.08) * rate))
+            disturbance[k : k + width] += random_scales["pulse"] * np.exp(rng.normal(0, 0.4)) * rng.choice([-1, 1])
+    if "oil" in random_scales:  # pulses of lubrication, and how they are used up
+        time, pulse, lasts = np.arange(n) / rate, rng.uniform(0.5, 1.5), rng.uniform(0.5, 2.0)
+        while pulse < n / rate:
+            friction_share -= random_scales["oil"] * np.where(time >= pulse, np.exp(-(time - pulse) / lasts), 0.0)
+            pulse += rng.uniform(2.0, 3.0)
     if "share" in random_scales:
         fade = np.exp(-1.0 / (0.3 * rate))
         kick = random_scales["share"] * np.sqrt(1 - fade**2) * rng.standard_normal(n)
         for k in range(1, n):
             friction_share[k] = fade * friction_share[k - 1] + kick[k]
+    readings = noise * rng.standard_normal(n)
     return MachineInputs(
-        reference, load * draw_load(load_rng, n, rate), noise * rng.standard_normal(n), disturbance, friction_share
-    )
+        reference, load * draw_load(load_rng, n, rate), readings, disturbance, friction_share,
+        motor_noise=None if motor_rng is None else motor_rng.standard_normal(n),
+        lateness=random_scales["lateness"] * rng.standard_normal(n) if "lateness" in random_scales else None,
+    )  # fmt: skip

@@ -42,6 +42,7 @@ class CaseKey(TypedDict):
 
     effects: list[TrueEffect]
     rate: NotRequired[float]
+    samples_a_row: NotRequired[int]  # of the control, of which a log has the first
     pitfall: NotRequired[bool]
     kind: NotRequired[str]
     visibility: NotRequired[str]

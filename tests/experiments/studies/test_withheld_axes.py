@@ -1,17 +1,20 @@
 """The axes of the withheld-effect check: faults are as large for each as for the paper's."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diffdrive.controllers import PD, PDGains, Tracking
+from diffdrive.axis_file.drive_file import read_axis, write_axis
+from diffdrive.controllers import PD, Cascade, PDGains, Tracking, UnknownController
 from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.friction import coulomb
-from diffdrive.model.parameters import Sampling
+from diffdrive.model.parameters import Sampling, Sensor
 from diffdrive.motion.builders import from_array
 from experiments.cli import main as cli
+from experiments.studies.control import Control
 from experiments.studies.withheld import generate
 from experiments.studies.withheld.axes import AXES
 from experiments.studies.withheld.draw import draw, log_faults
@@ -75,29 +78,68 @@ def test_a_sound_machine_of_any_axis_is_the_simulators(axis):
     study_axis, rate = AXES[axis], 2000.0
     time = np.arange(600) / rate
     reference = study_axis.length_ratio * 1e-3 * (1.0 - np.cos(2.0 * np.pi * 5.0 * time))
-    bandwidth = float(np.mean(study_axis.bandwidth))
-    mass = float(study_axis.drive.plant.mass)
-    gains = mass * bandwidth**2, 0.6 * mass * bandwidth
+    bandwidth, mass = float(np.mean(study_axis.bandwidth)), float(study_axis.drive.plant.mass)
+    gain = mass * bandwidth
+    if study_axis.cascaded:
+        control = Control(1.0, bandwidth / 5.0, gain, gain * bandwidth / 5.0, 0.0)
+        ours = Cascade(bandwidth / 5.0, gain, gain * bandwidth / 5.0, velocity_samples=2)
+    else:
+        control = Control(0.0, gain * bandwidth, 0.6 * gain)
+        ours = PD(Tracking(PDGains(gain * bandwidth, 0.6 * gain)))
     still = np.zeros_like(time)
-    position, _ = run(
-        study_axis.drive,
-        FaultParameters(),
-        MachineStructure(),
-        gains,
-        1e-15,
-        MachineInputs(reference, still, still, still, still),
-        rate,
-    )
-    unquantised = study_axis.drive.__class__(
-        **{**vars(study_axis.drive), "sensor": study_axis.drive.sensor.__class__(None, 0.0)}
-    )
-    ours = simulate_loop(
-        unquantised, PD(Tracking(PDGains(*gains))), from_array(time, reference), sampling=Sampling(rate, 40)
-    ).position
+    inputs = MachineInputs(reference, still, still, still, still, still)
+    position, _, motor = run(
+        study_axis.drive, FaultParameters(), MachineStructure(), control, 1e-12, inputs, rate,
+        2 if study_axis.cascaded else 1,
+    )  # fmt: skip
+    unquantised = dataclasses.replace(study_axis.drive, sensor=Sensor(None, 0.0))
+    simulated = simulate_loop(unquantised, ours, from_array(time, reference), sampling=Sampling(rate, 40)).position
     bristle = float(coulomb(study_axis.drive.friction, 1.0, 0.0)) / float(
         study_axis.drive.friction.bristle_stiffness.positive
     )
-    assert np.max(np.abs(position - ours)) < 0.01 * bristle
+    assert np.max(np.abs(position - simulated)) < 0.01 * bristle
+    assert np.max(np.abs(motor - position)) < 2e-12  # a screw that does not wind up
+
+
+def test_a_screw_winds_up_by_the_force_that_acts_and_an_elastic_one_by_itself():
+    axis, rate, wind_up = AXES["gantry"], 1000.0, 5e-9
+    time = np.arange(300) / rate
+    still = np.zeros_like(time)
+    reference = 1e-3 * (1.0 - np.cos(2.0 * np.pi * 5.0 * time))
+    inputs = MachineInputs(reference, still, still, still, still, still)
+    control, drive = Control(1.0, 20.0, 6e4, 1e6, 1.0), axis.drive
+    rigid = run(drive, FaultParameters(), MachineStructure(), control, 1e-12, inputs, rate, 1, wind_up)
+    np.testing.assert_allclose((rigid.motor - rigid.position)[1:], wind_up * rigid.command[:-1], atol=2e-12)
+    faults = FaultParameters(stiffness=2e8, screw_damping=0.5, motor_share=0.4, table_friction=1.0)
+    elastic = run(drive, faults, MachineStructure(elastic=True), control, 1e-12, inputs, rate)
+    wound = elastic.motor - elastic.position
+    assert np.ptp(wound) == pytest.approx(np.ptp(rigid.motor - rigid.position), rel=0.5)
+
+
+@pytest.mark.parametrize("name", ["gantry", "cnc", "cnc-trace"])
+def test_the_drive_file_of_a_case_holds_its_loop_and_its_trace(name, tmp_path):
+    case = drawn(axis=name)
+    axis = generate._nominal_axis(case)
+    path = tmp_path / "drive.toml"
+    write_axis(path, axis)
+    read = read_axis(path)
+    assert read.log_rate == pytest.approx(case.rate / case.samples_a_row)
+    assert read.controller == axis.controller
+    assert isinstance(read.controller, UnknownController) == (name == "cnc-trace")
+    assert (read.drive.motor_encoder is not None) == (name == "gantry")
+    assert (case.inputs[0].motor_noise is not None) == (name == "gantry")
+    assert case.samples_a_row > 1 or name != "cnc-trace"
+
+
+def test_a_scale_beside_the_motor_has_waves_of_its_own_in_the_place_of_the_screws_error():
+    assert generate.seen_in_place_of("lead_error", AXES["gantry"]) == "interpolation_error"
+    assert generate.seen_in_place_of("lead_error", AXES["cnc"]) == "lead_error"
+    assert generate.seen_in_place_of("cogging", AXES["gantry"]) == "cogging"
+
+
+def test_a_control_lags_by_what_it_does_not_feed_forward():
+    assert Control(0.0, 1e6, 1e4).following_error(0.2) == 0.0
+    assert Control(1.0, 40.0, 1e5, 1e6, 0.9).following_error(-0.2) == pytest.approx(0.1 * 0.2 / 40.0)
 
 
 def test_machines_of_several_axes_come_in_turn_and_are_no_others(tmp_path, monkeypatch):

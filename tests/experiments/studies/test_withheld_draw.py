@@ -5,6 +5,7 @@ import json
 import math
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 
@@ -12,7 +13,7 @@ from diffdrive.effects.catalogue import EFFECTS
 from experiments.studies.withheld import generate
 from experiments.studies.withheld.axes import AXES
 from experiments.studies.withheld.draw import draw, log_faults, without_fault
-from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED
+from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, UNSEEN
 from experiments.studies.withheld.machine import FaultParameters
 from experiments.studies.withheld.truth import true_parameters
 
@@ -33,10 +34,11 @@ def test_every_fault_is_drawn_in_numbers_that_hold_and_alike_by_its_seed(name):
         assert np.all(np.isfinite(faults))
         assert faults != FaultParameters() or case.faults[0].drive_factors or case.faults[0].random_scales
         inputs = case.inputs[log]
-        assert len({len(trace) for trace in inputs}) == 1
-        assert np.all(np.isfinite(inputs))
+        signals = jax.tree.leaves(inputs)
+        assert len({len(signal) for signal in signals}) == 1
+        assert np.all(np.isfinite(signals))
         assert np.all(inputs.load >= 0.0)
-        np.testing.assert_array_equal(inputs, same.inputs[log])
+        np.testing.assert_array_equal(signals, jax.tree.leaves(same.inputs[log]))
         assert len(inputs.reference) / case.rate > 8.0
     assert case.true == same.true
     assert case.true != drawn(name, seed=4).true
@@ -158,9 +160,10 @@ def test_no_two_faults_are_one():
 def test_kinds_mix_every_effect_with_none_two_outsiders_and_pitfalls():
     kinds = generate.draw_effects(0, 120)
     assert len(kinds) == 120
-    assert sum(kind == () for kind in kinds) == 14
-    assert sum(len(kind) == 2 for kind in kinds) == 14
-    assert sum(kind[0] in OUTSIDE for kind in kinds if kind) == 14
+    assert sum(kind == () for kind in kinds) == 19
+    assert sum(len(kind) == 2 for kind in kinds) == 19
+    assert sum(kind[0] in OUTSIDE for kind in kinds if kind) == 19
+    assert all(sum(kind == (name,) for kind in kinds) in (1, 2) for name in UNSEEN)  # each as often as the others
     assert sum(kind[0] in PITFALLS for kind in kinds if kind) == 6
     assert set(KNOWN) <= {kind[0] for kind in kinds if len(kind) == 1}
     case = drawn("swallowed_frame")

@@ -18,6 +18,7 @@ from diffdrive.effects.scale import InterpolationError, LeadError
 from diffdrive.effects.transmission import Backlash, Compliance
 from diffdrive.loop.simulate import simulate_loop
 from diffdrive.motion.builders import from_array
+from experiments.studies.control import Control
 from experiments.studies.withheld import machine
 from experiments.studies.withheld.faults import KNOWN
 from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure, run
@@ -97,9 +98,10 @@ def simulate_fault(faults, noise=0.0):
     flat = np.zeros(len(TIME))
     rough = noise * np.random.default_rng(0).standard_normal(len(TIME))
     structure = MachineStructure(elastic="stiffness" in faults, lagging="lag" in faults)
-    gains = (float(PLAIN.controller.tracking.gains.kp), float(PLAIN.controller.tracking.gains.kd))
+    gains = PLAIN.controller.tracking.gains
+    control = Control(0.0, float(gains.kp), float(gains.kd))
     inputs = MachineInputs(MOTION.position, flat, rough, flat, flat)
-    return np.stack(run(PLAIN.drive, FaultParameters(**faults), structure, gains, 1e-12, inputs, RATE))
+    return np.stack(run(PLAIN.drive, FaultParameters(**faults), structure, control, 1e-12, inputs, RATE)[:2])
 
 
 def simulate_effects(*effects):
@@ -128,6 +130,77 @@ def test_a_dead_time_takes_its_toll_of_the_force_whichever_way_it_pushes(dead):
     moving = slice(50, 750)  # the command is well above the toll there, but for where it changes its sign
     more = np.sign(fault_free[moving]) * (command - fault_free)[moving]
     assert np.median(more) == pytest.approx(dead, rel=0.1)
+
+
+STROKE = MachineInputs(0.02 * np.clip((TIME - 0.05) / 0.4, 0.0, 1.0), *(np.zeros(len(TIME)) for _ in range(4)))
+CRUISE = slice(250, 400)  # at 50 mm/s, 10 ms and more after it began
+
+
+def stroke(inputs=STROKE, **faults):
+    """Position and command of one stroke to one side, and a rest."""
+    gains = PLAIN.controller.tracking.gains
+    control = Control(0.0, float(gains.kp), float(gains.kd))
+    arguments = FaultParameters(**faults), MachineStructure(), control, 1e-12, inputs, RATE
+    return np.stack(run(PLAIN.drive, *arguments)[:2])
+
+
+@pytest.fixture(scope="module")
+def sound_stroke():
+    return stroke()
+
+
+def more_command(sound, **faults):
+    return float(np.mean((stroke(**faults) - sound)[1, CRUISE]))
+
+
+@pytest.mark.long
+def test_windage_grows_with_the_square_of_the_speed_and_a_chain_is_bent_once(sound_stroke):
+    assert more_command(sound_stroke, windage=2e3) == pytest.approx(2e3 * 0.05**2, rel=0.02)
+    assert more_command(sound_stroke, chain=4.0, chain_length=1e-3) == pytest.approx(4.0, rel=0.02)
+
+
+@pytest.mark.long
+def test_commutation_is_a_gain_along_the_motor_and_counts_of_the_command_are_lost(sound_stroke):
+    always = {"commutation": 0.1, "commutation_period": 1e6, "commutation_phase": -0.5 * np.pi}
+    expected = stroke(gain=-0.1)
+    assert np.max(np.abs(stroke(**always) - expected)[0]) < 1e-9
+    still = stroke(step=1e6)[0]
+    assert np.max(np.abs(still[:250])) < 1e-9  # half a count is never reached
+    assert abs(more_command(sound_stroke, step=2.0)) < 0.5
+
+
+@pytest.mark.long
+def test_a_spindle_that_runs_up_is_a_force_of_rising_frequency(sound_stroke):
+    start, rise, fastest = 0.05, 100.0, 30.0
+    running = np.maximum(TIME + 0.5 / RATE - start, 0.0)
+    ramp = fastest / rise
+    turns = 0.5 * rise * np.minimum(running, ramp) ** 2 + fastest * np.maximum(running - ramp, 0.0)
+    force = 8.0 * np.minimum(running / ramp, 1.0) ** 2 * np.sin(2.0 * np.pi * turns)
+    expected = stroke(STROKE._replace(disturbance=force)) - sound_stroke
+    found = stroke(spin=8.0, spin_start=start, spin_rise=rise, spin_fastest=fastest) - sound_stroke
+    assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)
+
+
+@pytest.mark.long
+def test_oil_lags_behind_the_speed(sound_stroke):
+    assert np.max(np.abs(stroke(film_time=1e-6) - sound_stroke)[0]) < 1e-9
+    late = stroke(film_time=0.2) - sound_stroke
+    gap, width = (
+        float(pair.positive) for pair in (PLAIN.drive.friction.breakaway_gap, PLAIN.drive.friction.stribeck_velocity)
+    )
+    film = 0.05 * (1.0 - np.exp(-(TIME[CRUISE] - 0.05) / 0.2))
+    assert np.mean(late[1, CRUISE]) == pytest.approx(
+        np.mean(gap * (np.exp(-film / width) - np.exp(-0.05 / width))), rel=0.2, abs=0.05
+    )
+
+
+@pytest.mark.long
+def test_a_loose_head_shows_where_the_motion_reverses_and_a_late_sample_what_was_passed_since(sound_stroke):
+    there, back = simulate_fault({}), simulate_fault({"play": 2e-5})
+    assert np.max(np.abs(back - there)[1]) > 1.0
+    late = stroke(STROKE._replace(lateness=np.full(len(TIME), 1e-5)))
+    assert np.max(np.abs(late - sound_stroke)[0]) < 1e-6  # 0.5 um, which a PD does not mind
+    assert np.max(np.abs(late - sound_stroke)[1]) > 0.0
 
 
 def test_every_effect_with_an_equation_of_its_own_is_held_against_the_catalogue():
