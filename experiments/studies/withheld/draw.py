@@ -9,8 +9,9 @@ from diffdrive.model.parameters import Drive, Friction, Plant
 from diffdrive.model.quantity import Directional
 from experiments.studies.control import Control
 from experiments.studies.withheld.axes import AXES, StudyAxis
+from experiments.studies.withheld.equations import FaultParameters, MachineStructure
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, InjectedFault, log_uniform
-from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure
+from experiments.studies.withheld.machine import MachineInputs
 from experiments.studies.withheld.motions import draw_inputs
 
 MAX_DEVIATION = 0.03  # of a true parameter from nominal, in its logarithm

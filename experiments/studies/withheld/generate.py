@@ -22,7 +22,7 @@ from diffdrive.model.trace import Trace
 from diffdrive.motion.motion import Limits
 from diffdrive.support.atomic_write import remove_temporary, write_text
 from experiments.studies import control
-from experiments.studies.withheld import axes, faults, machine, motions
+from experiments.studies.withheld import axes, equations, faults, machine, motions
 from experiments.studies.withheld import draw as draws
 from experiments.studies.withheld import truth as truths
 from experiments.studies.withheld.axes import AXES, StudyAxis
@@ -158,7 +158,7 @@ def source_digest() -> str:
     """A digest of the sources that draw and integrate machines: those of two editions are not one study."""
     parts = [
         inspect.getsource(module)
-        for module in (axes, control, draws, faults, machine, motions, truths, sys.modules[__name__])
+        for module in (axes, control, draws, equations, faults, machine, motions, truths, sys.modules[__name__])
     ]
     parts += [repr(AXES["paper"].drive), *(version(name) for name in ("diffrax", "jax", "jaxlib", "numpy"))]
     return hashlib.sha256("".join(parts).encode()).hexdigest()

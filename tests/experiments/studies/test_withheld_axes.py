@@ -18,8 +18,9 @@ from experiments.studies.control import Control
 from experiments.studies.withheld import generate
 from experiments.studies.withheld.axes import AXES
 from experiments.studies.withheld.draw import draw, log_faults
+from experiments.studies.withheld.equations import FaultParameters, MachineStructure
 from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PLACED
-from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure, run
+from experiments.studies.withheld.machine import MachineInputs, run
 
 OTHERS = [name for name in AXES if name != "paper"]
 

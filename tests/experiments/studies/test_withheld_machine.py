@@ -20,8 +20,9 @@ from diffdrive.loop.simulate import simulate_loop
 from diffdrive.motion.builders import from_array
 from experiments.studies.control import Control
 from experiments.studies.withheld import machine
+from experiments.studies.withheld.equations import FaultParameters, MachineStructure
 from experiments.studies.withheld.faults import KNOWN
-from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure, run
+from experiments.studies.withheld.machine import MachineInputs, run
 from tests.support.sound_log import RATE, axis_of
 
 PLAIN = axis_of(resolution=None, noise=0.0)

@@ -16,7 +16,9 @@ from diffdrive.effects.scale import InterpolationError
 from diffdrive.model.parameters import Sensor
 from diffdrive.model.quantity import Directional
 from diffdrive.motion.builders import from_array
-from experiments.studies.withheld.machine import FaultParameters, MachineInputs, MachineStructure, run
+from experiments.studies.control import Control
+from experiments.studies.withheld.equations import FaultParameters, MachineStructure
+from experiments.studies.withheld.machine import MachineInputs, run
 from experiments.studies.withheld.score import read_key
 from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
 from tuning.diagnosis.calibration import NAMES, TOLERANCE
@@ -220,8 +222,9 @@ def test_the_withheld_machine_is_the_simulator_where_nothing_is_wrong():
     ours = simulate_log(plain, motion)
     flat = np.zeros(600)
     told = MachineInputs(motion.position, flat, flat, flat, flat)
-    gains = (float(plain.controller.tracking.gains.kp), float(plain.controller.tracking.gains.kd))
-    position, command = run(plain.drive, FaultParameters(), MachineStructure(), gains, 1e-12, told, RATE)
+    gains = plain.controller.tracking.gains
+    control = Control(0.0, float(gains.kp), float(gains.kd))
+    position, command, _ = run(plain.drive, FaultParameters(), MachineStructure(), control, 1e-12, told, RATE)
     assert np.abs(position - ours.position).max() < 5e-9
     assert np.sqrt(np.mean((command - ours.command) ** 2)) < 0.01 * np.abs(command).max()
 
