@@ -21,6 +21,7 @@ from tuning.checked_logs import CheckedLogs
 from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.explain import MOST_EFFECTS
 from tuning.diagnosis.next_experiment import Experiment
+from tuning.diagnosis.stages import Stage
 from tuning.diagnosis.workflow import (
     NOT_SEARCHED,
     DiagnosisResult,
@@ -67,7 +68,7 @@ def diagnose_logs(
             found = diagnose_checked(
                 description, checked,
                 without=without, tolerance=tolerance, most_effects=most_effects, store=parts, progress=progress,
-                tell=lambda stage: report.print(f"So far, {stage.name}: {stage.says}."),
+                tell=lambda stage: _keep_stage(report, stage),
             )  # fmt: skip
         if parts is not None and parts.hits:
             report.print(f"{parts.hits} finished parts of an interrupted diagnosis were used.")
@@ -97,6 +98,12 @@ def diagnose_logs(
         if parts is not None:  # while no other run may write here
             parts.remove()
     return details
+
+
+def _keep_stage(report: Report, stage: Stage) -> None:
+    """Print what is known on the way, and keep it: a diagnosis that is stopped leaves it in result.json."""
+    report.print(f"So far, {stage.name}: {stage.says}.")
+    report.keep("so_far", **{stage.name: stage.says})
 
 
 def read_diagnosis_logs(report: Report, paths: Sequence[Path], description: Axis, loads: Sequence[str]) -> CheckedLogs:

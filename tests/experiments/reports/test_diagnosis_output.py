@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from diffdrive.axis_file.drive_file import read_axis
+from diffdrive.axis_file.drive_file import read_axis, write_axis
 from diffdrive.effects.forces import ConstantForce
+from diffdrive.logs import write_log
 from experiments.reports.diagnosis import diagnosis as command
 from experiments.reports.diagnosis.figures import _ladder
 from experiments.reports.diagnosis.files import write_augmented
@@ -24,6 +25,7 @@ from tuning.diagnosis.fitting import Fitter
 from tuning.diagnosis.gap import LoopGap
 from tuning.diagnosis.model import Member, Model
 from tuning.diagnosis.setting import setting
+from tuning.diagnosis.stages import Stage
 
 MASS = float(DRIVE.drive.plant.mass) * np.exp(constant_force_log.DEVIATIONS[NAMES.index("mass")])  # kg, the machine's
 
@@ -179,6 +181,25 @@ def test_the_diagnosis_is_there_whatever_fails_after_it(constant_force_diagnosis
     kept = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert kept["verdict"] == "effect"
     assert kept["next_experiment"]["says"].startswith("not looked for")
+
+
+def test_a_diagnosis_that_is_interrupted_leaves_what_it_knew(monkeypatch, tmp_path):
+    def interrupted(*_, tell, **__):
+        tell(Stage("gap", "the recalibrated drive lacks a force of 3 N RMS"))
+        tell(Stage("search", "best candidate: cogging (evidence 900)"))
+        raise KeyboardInterrupt
+
+    write_log(tmp_path / "lap.parquet", constant_force_log.log())
+    write_axis(tmp_path / "drive.toml", DRIVE)
+    monkeypatch.setattr(command, "diagnose_checked", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        command.diagnose_logs([tmp_path / "lap.parquet"], tmp_path / "drive.toml", tmp_path / "out")
+    written = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert written["so_far"] == {
+        "gap": "the recalibrated drive lacks a force of 3 N RMS",
+        "search": "best candidate: cogging (evidence 900)",
+    }
+    assert written["stopped_by"] == "KeyboardInterrupt"
 
 
 @pytest.mark.long
