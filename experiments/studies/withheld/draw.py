@@ -10,9 +10,10 @@ from diffdrive.model.quantity import Directional
 from experiments.studies.control import Control
 from experiments.studies.withheld.axes import AXES, StudyAxis
 from experiments.studies.withheld.equations import FaultParameters, MachineStructure
-from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, InjectedFault, log_uniform
+from experiments.studies.withheld.faults import KNOWN, PITFALLS, InjectedFault, log_uniform
 from experiments.studies.withheld.machine import MachineInputs
 from experiments.studies.withheld.motions import draw_inputs
+from experiments.studies.withheld.outsiders import OUTSIDE, PLACED
 
 MAX_DEVIATION = 0.03  # of a true parameter from nominal, in its logarithm
 MIN_SIZE, MAX_SIZE = 0.3, 4.0  # a size of 1 is clearly visible

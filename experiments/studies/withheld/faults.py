@@ -1,4 +1,4 @@
-"""Faults drawn at random: those of the catalogue, those from outside it, and those that other parameters absorb.
+"""Faults drawn at random: those of the catalogue, and those that other parameters absorb.
 
 A size of 1 is clearly visible on the paper's axis.
 """
@@ -26,7 +26,7 @@ class InjectedFault(NamedTuple):
     random_scales: dict[str, float]  # of signals that are drawn for each log
 
 
-def _fault(
+def fault(
     name: str,
     size: float,
     parameters: Parameters | None = None,
@@ -35,6 +35,7 @@ def _fault(
     drive_factors: dict[str, float] | None = None,
     random_scales: dict[str, float] | None = None,
 ) -> InjectedFault:
+    """A fault; what is not given stays as it is."""
     return InjectedFault(name, size, dict(parameters or {}), structure or {}, drive_factors or {}, random_scales or {})
 
 
@@ -51,11 +52,11 @@ def _phases(rng: np.random.Generator) -> tuple[float, float]:
 def _applied_load(rng: np.random.Generator, size: float) -> InjectedFault:
     if rng.random() < 0.4:
         load = 15e3 * size
-        return _fault("applied_load", size, {"extra_load": load})
+        return fault("applied_load", size, {"extra_load": load})
     load = 4e3 * size
     start, duration = rng.uniform(1.0, 4.0, 2), rng.uniform(2.0, 4.0, 2)
     parameters: Parameters = {"extra_load": load, "load_start": tuple(start), "load_end": tuple(start + duration)}
-    return _fault("applied_load", size, parameters)
+    return fault("applied_load", size, parameters)
 
 
 def _friction_shape(rng: np.random.Generator, size: float) -> InjectedFault:
@@ -63,28 +64,28 @@ def _friction_shape(rng: np.random.Generator, size: float) -> InjectedFault:
     share = 0.3 if which == "stribeck_exponent" else 0.15  # of which little shows
     factor = float(np.exp(rng.choice([-1.0, 1.0]) * min(share * size, 0.7)))
     drive_factors = {which: factor} | ({"damping": factor} if which == "viscous" else {})
-    return _fault("friction_shape", size, drive_factors=drive_factors)
+    return fault("friction_shape", size, drive_factors=drive_factors)
 
 
 def _friction_asymmetry(rng: np.random.Generator, size: float) -> InjectedFault:
     share = float(rng.choice([-1.0, 1.0]) * 0.08 * size)
     drive_factors = {"coulomb_screw+": 1 + share, "coulomb_screw-": 1 - share}
-    return _fault("friction_asymmetry", size, drive_factors=drive_factors)
+    return fault("friction_asymmetry", size, drive_factors=drive_factors)
 
 
 def _position_friction(rng: np.random.Generator, size: float) -> InjectedFault:
     if rng.random() < 0.5:
         slope = float(rng.choice([-1, 1]) * 0.05 * size / STROKE)
-        return _fault("position_friction", size, {"slope": slope})
+        return fault("position_friction", size, {"slope": slope})
     period = float(rng.uniform(0.04, 0.15))
     parameters = {"wave": 0.05 * size, "wave_period": period, "wave_phase": float(rng.uniform(0, 6.28))}
-    return _fault("position_friction", size, parameters)
+    return fault("position_friction", size, parameters)
 
 
 def _viscous_drift(rng: np.random.Generator, size: float) -> InjectedFault:
     time = float(rng.uniform(2.0, 6.0))
     parameters = {"drift_viscous": 0.08 * size, "drift_coulomb": 0.01 * size, "drift_time": time}
-    return _fault("viscous_drift", size, parameters)
+    return fault("viscous_drift", size, parameters)
 
 
 def _friction_dwell(rng: np.random.Generator, size: float) -> InjectedFault:
@@ -93,26 +94,26 @@ def _friction_dwell(rng: np.random.Generator, size: float) -> InjectedFault:
         "onset": float(rng.uniform(0.05, 0.15)),
         "slip": float(rng.uniform(5e-6, 15e-6)),
     }
-    return _fault("friction_dwell", size, parameters)
+    return fault("friction_dwell", size, parameters)
 
 
 def _presliding(rng: np.random.Generator, size: float) -> InjectedFault:
     longest = float(np.clip(4e-6 * size, 2e-6, 1.2e-5))
-    return _fault("presliding_hysteresis", size, {"longest": longest}, structure={"maxwell": True})
+    return fault("presliding_hysteresis", size, {"longest": longest}, structure={"maxwell": True})
 
 
 def _payload_mass(rng: np.random.Generator, size: float) -> InjectedFault:
-    return _fault("payload_mass", size, drive_factors={"mass": 1 + 0.12 * size})
+    return fault("payload_mass", size, drive_factors={"mass": 1 + 0.12 * size})
 
 
 def _constant_force(rng: np.random.Generator, size: float) -> InjectedFault:
     force = float(rng.choice([-1, 1]) * 3.0 * size)
-    return _fault("constant_force", size, {"constant": force})
+    return fault("constant_force", size, {"constant": force})
 
 
 def _position_spring(rng: np.random.Generator, size: float) -> InjectedFault:
     parameters = {"spring": 80.0 * size, "neutral": float(rng.uniform(-0.02, 0.02))}
-    return _fault("position_spring", size, parameters)
+    return fault("position_spring", size, parameters)
 
 
 def _elastic(rng: np.random.Generator, frequency: float, damping: float) -> dict[str, float]:
@@ -129,13 +130,13 @@ def _elastic(rng: np.random.Generator, frequency: float, damping: float) -> dict
 def _compliance(rng: np.random.Generator, size: float) -> InjectedFault:
     frequency = float(np.clip(log_uniform(rng, (200.0, 312.5)) / np.sqrt(size), 100.0, 500.0))
     parameters = _elastic(rng, frequency, log_uniform(rng, (0.015, 0.08)))
-    return _fault("compliance", size, parameters, structure={"elastic": True})
+    return fault("compliance", size, parameters, structure={"elastic": True})
 
 
 def _backlash(rng: np.random.Generator, size: float) -> InjectedFault:
     gap = max(2.5e-6 * size * log_uniform(rng, (1.0, 4.0)), 8e-7)  # up to 40 um: a worn screw
     parameters = _elastic(rng, log_uniform(rng, (250.0, 700.0)), log_uniform(rng, (0.04, 0.15))) | {"gap": gap}
-    return _fault("backlash", size, parameters, structure={"elastic": True})
+    return fault("backlash", size, parameters, structure={"elastic": True})
 
 
 def _frame_vibration(rng: np.random.Generator, size: float) -> InjectedFault:
@@ -144,7 +145,7 @@ def _frame_vibration(rng: np.random.Generator, size: float) -> InjectedFault:
         "base_frequency": log_uniform(rng, (10.0, 60.0)),
         "base_damping": log_uniform(rng, (0.015, 0.08)),
     }
-    return _fault("frame_vibration", size, parameters)
+    return fault("frame_vibration", size, parameters)
 
 
 def _process_force(rng: np.random.Generator, size: float) -> InjectedFault:
@@ -157,7 +158,7 @@ def _process_force(rng: np.random.Generator, size: float) -> InjectedFault:
         "process_start": tuple(start),
         "process_end": tuple(start + duration),
     }
-    return _fault("process_force", size, parameters)
+    return fault("process_force", size, parameters)
 
 
 def _cogging(rng: np.random.Generator, size: float) -> InjectedFault:
@@ -168,26 +169,26 @@ def _cogging(rng: np.random.Generator, size: float) -> InjectedFault:
         "second": float(rng.uniform(0, 0.2)),
         "sixth": float(rng.uniform(0, 0.3)),
     }
-    return _fault("cogging", size, parameters)
+    return fault("cogging", size, parameters)
 
 
 def _force_gain(rng: np.random.Generator, size: float) -> InjectedFault:
     gain = float(rng.choice([-1, 1]) * min(0.06 * size, 0.3))
-    return _fault("force_gain", size, {"gain": gain})
+    return fault("force_gain", size, {"gain": gain})
 
 
 def _actuator_lag(rng: np.random.Generator, size: float) -> InjectedFault:
     lag = 3e-4 * size
-    return _fault("actuator_lag", size, {"lag": lag}, structure={"lagging": True})
+    return fault("actuator_lag", size, {"lag": lag}, structure={"lagging": True})
 
 
 def _loop_delay(rng: np.random.Generator, size: float) -> InjectedFault:
     delay = float(np.clip(0.4 * size, 0.15, 2.0))
-    return _fault("loop_delay", size, {"delay": delay})
+    return fault("loop_delay", size, {"delay": delay})
 
 
 def _force_limit(rng: np.random.Generator, size: float) -> InjectedFault:
-    return _fault("force_limit", size, {"limit": -min(0.04 * size, 0.2)})
+    return fault("force_limit", size, {"limit": -min(0.04 * size, 0.2)})
 
 
 def _lead_error(rng: np.random.Generator, size: float) -> InjectedFault:
@@ -197,7 +198,7 @@ def _lead_error(rng: np.random.Generator, size: float) -> InjectedFault:
         "lead_phase": _phases(rng),
         "linear": float(rng.normal(0, 2e-5)),
     }
-    return _fault("lead_error", size, parameters)
+    return fault("lead_error", size, parameters)
 
 
 def _interpolation_error(rng: np.random.Generator, size: float) -> InjectedFault:
@@ -206,106 +207,7 @@ def _interpolation_error(rng: np.random.Generator, size: float) -> InjectedFault
         "interpolation_period": log_uniform(rng, SCALE_PERIODS),
         "interpolation_phase": _phases(rng),
     }
-    return _fault("interpolation_error", size, parameters)
-
-
-def _chip(rng: np.random.Generator, size: float) -> InjectedFault:
-    parameters: Parameters = {
-        "chip": 3.0 * size,
-        "chip_place": tuple(rng.uniform(-0.5 * STROKE, 0.5 * STROKE, 2)),
-        "chip_width": float(rng.uniform(2e-3, 8e-3)),
-        "chip_start": tuple(rng.uniform(2.0, 4.0, 2)),
-    }
-    return _fault("chip", size, parameters)
-
-
-def _dent(rng: np.random.Generator, size: float) -> InjectedFault:
-    """A rail's: at one spot from the first to the last, as deep in either log."""
-    share, width = float(rng.uniform(0.2, 0.8)), float(rng.uniform(1e-3, 4e-3))
-    return _fault("dent", size, {"chip": 3.0 * size, "chip_place": share, "chip_width": width})
-
-
-def _dead_time(rng: np.random.Generator, size: float) -> InjectedFault:
-    return _fault("dead_time", size, {"dead": 5.0 * size})
-
-
-def _fading_magnets(rng: np.random.Generator, size: float) -> InjectedFault:
-    return _fault("fading_magnets", size, {"fading": 0.06 * size, "fading_time": float(rng.uniform(2.0, 6.0))})
-
-
-def _bumper(rng: np.random.Generator, size: float) -> InjectedFault:
-    """A cover that folds up near one end of the stroke."""
-    return _fault("bumper", size, {"bumper": 500.0 * size, "bumper_place": float(rng.uniform(0.5, 0.8))})
-
-
-def _droop(rng: np.random.Generator, size: float) -> InjectedFault:
-    return _fault("droop", size, {"droop": min(0.1 * size, 0.4), "droop_force": 300.0})
-
-
-def _shocks(rng: np.random.Generator, size: float) -> InjectedFault:
-    return _fault("shocks", size, random_scales={"peak": 10.0 * size})
-
-
-def _wandering(rng: np.random.Generator, size: float) -> InjectedFault:
-    return _fault("wandering_friction", size, random_scales={"share": 0.03 * size})
-
-
-def _run_up(rng: np.random.Generator, size: float) -> InjectedFault:
-    """A spindle out of balance, whose force grows with the square of its speed."""
-    parameters: Parameters = {
-        "spin": 2.0 * size,
-        "spin_start": tuple(rng.uniform(0.5, 3.0, 2)),
-        "spin_rise": float(rng.uniform(10.0, 40.0)),
-        "spin_fastest": float(rng.uniform(60.0, 180.0)),
-    }
-    return _fault("run_up", size, parameters)
-
-
-def _coarse_command(rng: np.random.Generator, size: float) -> InjectedFault:
-    """A command that the power stage takes in counts."""
-    return _fault("coarse_command", size, {"step": 4.0 * size})
-
-
-def _loose_head(rng: np.random.Generator, size: float) -> InjectedFault:
-    """A reading head that follows the table with some play."""
-    return _fault("loose_head", size, {"play": 4e-7 * size})
-
-
-def _frictional_lag(rng: np.random.Generator, size: float) -> InjectedFault:
-    """A Stribeck curve that the film of oil follows late (Hess and Soom 1990)."""
-    return _fault("frictional_lag", size, {"film_time": 6e-3 * size})
-
-
-def _clock_jitter(rng: np.random.Generator, size: float) -> InjectedFault:
-    return _fault("clock_jitter", size, random_scales={"lateness": 4e-6 * size})
-
-
-def _commutation(rng: np.random.Generator, size: float) -> InjectedFault:
-    """A force constant that comes and goes along the motor: of cogging it is told by the command."""
-    parameters = {
-        "commutation": min(0.04 * size, 0.3),
-        "commutation_period": log_uniform(rng, POLES),
-        "commutation_phase": float(rng.uniform(0, 6.28)),
-    }
-    return _fault("commutation", size, parameters)
-
-
-def _cable_chain(rng: np.random.Generator, size: float) -> InjectedFault:
-    """It takes millimetres to be bent the other way."""
-    return _fault("cable_chain", size, {"chain": 3.0 * size, "chain_length": float(rng.uniform(2e-3, 8e-3))})
-
-
-def _windage(rng: np.random.Generator, size: float) -> InjectedFault:
-    return _fault("windage", size, {"windage": 6.0 * size / 0.09**2})
-
-
-def _lubrication(rng: np.random.Generator, size: float) -> InjectedFault:
-    return _fault("lubrication", size, random_scales={"oil": 0.06 * size})
-
-
-def _neighbour(rng: np.random.Generator, size: float) -> InjectedFault:
-    """Another axis that starts and stops."""
-    return _fault("neighbour", size, random_scales={"pulse": 3.0 * size})
+    return fault("interpolation_error", size, parameters)
 
 
 def _swallowed_frame(rng: np.random.Generator, size: float) -> InjectedFault:
@@ -315,14 +217,14 @@ def _swallowed_frame(rng: np.random.Generator, size: float) -> InjectedFault:
         "base_frequency": float(rng.uniform(60, 150)),
         "base_damping": float(rng.uniform(0.1, 0.3)),
     }
-    return _fault("frame_vibration", size, parameters)
+    return fault("frame_vibration", size, parameters)
 
 
 def _swallowed_screw(rng: np.random.Generator, size: float) -> InjectedFault:
     """Stiff and well damped: it looks like some delay, and a softer bristle."""
     frequency = float(np.clip(450.0 / np.sqrt(size), 200.0, 600.0))
     parameters = _elastic(rng, frequency, float(rng.uniform(0.15, 0.3)))
-    return _fault("compliance", size, parameters, structure={"elastic": True})
+    return fault("compliance", size, parameters, structure={"elastic": True})
 
 
 KNOWN: dict[str, Callable[[np.random.Generator, float], InjectedFault]] = {
@@ -348,31 +250,6 @@ KNOWN: dict[str, Callable[[np.random.Generator, float], InjectedFault]] = {
     "lead_error": _lead_error,
     "interpolation_error": _interpolation_error,
 }
-# outside the catalogue, and in no study while the engine was shaped
-UNSEEN: dict[str, Callable[[np.random.Generator, float], InjectedFault]] = {
-    "run_up": _run_up,
-    "coarse_command": _coarse_command,
-    "loose_head": _loose_head,
-    "frictional_lag": _frictional_lag,
-    "clock_jitter": _clock_jitter,
-    "commutation": _commutation,
-    "cable_chain": _cable_chain,
-    "windage": _windage,
-    "lubrication": _lubrication,
-    "neighbour": _neighbour,
-}
-OUTSIDE: dict[str, Callable[[np.random.Generator, float], InjectedFault]] = {
-    "chip": _chip,
-    "droop": _droop,
-    "shocks": _shocks,
-    "wandering_friction": _wandering,
-    "dent": _dent,
-    "dead_time": _dead_time,
-    "fading_magnets": _fading_magnets,
-    "bumper": _bumper,
-    **UNSEEN,
-}
-PLACED = {"dent": "chip_place", "bumper": "bumper_place"}  # drawn as shares of the stroke, so that the table gets there
 PITFALLS: dict[str, Callable[[np.random.Generator, float], InjectedFault]] = {
     "swallowed_frame": _swallowed_frame,
     "swallowed_screw": _swallowed_screw,

@@ -22,13 +22,14 @@ from diffdrive.model.trace import Trace
 from diffdrive.motion.motion import Limits
 from diffdrive.support.atomic_write import remove_temporary, write_text
 from experiments.studies import control
-from experiments.studies.withheld import axes, equations, faults, machine, motions
+from experiments.studies.withheld import axes, equations, faults, machine, motions, outsiders
 from experiments.studies.withheld import draw as draws
 from experiments.studies.withheld import truth as truths
 from experiments.studies.withheld.axes import AXES, StudyAxis
 from experiments.studies.withheld.draw import WithheldCase, draw, log_faults, without_fault
-from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, UNSEEN
+from experiments.studies.withheld.faults import KNOWN, PITFALLS
 from experiments.studies.withheld.machine import MOTOR_SHARE, run
+from experiments.studies.withheld.outsiders import OUTSIDE, UNSEEN
 from experiments.studies.withheld.records import CaseKey, Key
 from experiments.studies.withheld.truth import true_parameters
 
@@ -158,7 +159,18 @@ def source_digest() -> str:
     """A digest of the sources that draw and integrate machines: those of two editions are not one study."""
     parts = [
         inspect.getsource(module)
-        for module in (axes, control, draws, equations, faults, machine, motions, truths, sys.modules[__name__])
+        for module in (
+            axes,
+            control,
+            draws,
+            equations,
+            faults,
+            machine,
+            motions,
+            outsiders,
+            truths,
+            sys.modules[__name__],
+        )
     ]
     parts += [repr(AXES["paper"].drive), *(version(name) for name in ("diffrax", "jax", "jaxlib", "numpy"))]
     return hashlib.sha256("".join(parts).encode()).hexdigest()

@@ -19,8 +19,9 @@ from experiments.studies.withheld import generate
 from experiments.studies.withheld.axes import AXES
 from experiments.studies.withheld.draw import draw, log_faults
 from experiments.studies.withheld.equations import FaultParameters, MachineStructure
-from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PLACED
+from experiments.studies.withheld.faults import KNOWN
 from experiments.studies.withheld.machine import MachineInputs, run
+from experiments.studies.withheld.outsiders import OUTSIDE, PLACED
 
 OTHERS = [name for name in AXES if name != "paper"]
 

@@ -14,7 +14,8 @@ from experiments.studies.withheld import generate
 from experiments.studies.withheld.axes import AXES
 from experiments.studies.withheld.draw import draw, log_faults, without_fault
 from experiments.studies.withheld.equations import FaultParameters
-from experiments.studies.withheld.faults import KNOWN, OUTSIDE, PITFALLS, PLACED, UNSEEN
+from experiments.studies.withheld.faults import KNOWN, PITFALLS
+from experiments.studies.withheld.outsiders import OUTSIDE, PLACED, UNSEEN
 from experiments.studies.withheld.truth import true_parameters
 
 ALL = [*KNOWN, *OUTSIDE, *PITFALLS]
