@@ -316,7 +316,7 @@ def seen_from(gains: Float[np.ndarray, " k"], needed: float) -> int:
 def limit_of(fitter: Fitter, candidate: Candidate, parameter: str, size: float | None) -> DetectionLimit:
     """In the units of the catalogue; delays in periods of the controller."""
     fields = {one.name: one.metadata["quantity"] for one in dataclasses.fields(EFFECTS[candidate.name])}
-    per = float(fitter.logged.thinning) if candidate.effect is LoopDelay else 1.0
+    per = float(fitter.logged.control_periods) if candidate.effect is LoopDelay else 1.0
     label = AMPLITUDE if parameter == WAVE[0] else parameter
     unit = fields[parameter].unit
     return DetectionLimit(candidate.name, label, unit, None if size is None else per * size, candidate.weakens)

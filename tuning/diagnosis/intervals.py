@@ -70,7 +70,7 @@ def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, Interval]
             edge = float(values_of.get("edge", np.full(log + 1, EDGE_TIME))[log])
             low, high = _through_rests(fitted, log, low - 0.5 * edge, high + 0.5 * edge)
         if candidate.effect is LoopDelay:
-            value, low, high = (fitted.model.logged.thinning * number for number in (value, low, high))
+            value, low, high = (fitted.model.logged.control_periods * number for number in (value, low, high))
         if log is None:
             told[name] = (value, (low, high))
         else:

@@ -49,6 +49,11 @@ class Logged(NamedTuple):
         return Sampling(self.sampling.rate * self.thinning, -(-self.sampling.plant_steps // self.thinning))
 
     @property
+    def control_periods(self) -> int:
+        """How many of the machine's control a sample lasts."""
+        return self.thinning * self.loop_samples
+
+    @property
     def logs(self) -> int:
         """How many logs."""
         return max(self.owner) + 1

@@ -28,6 +28,7 @@ class StudyAxis(NamedTuple):
     resolution_ratio: float = 1.0  # the scale's counts
     cascaded: bool = False  # a cascade of position and speed, or a PD
     samples_a_row: tuple[int, ...] = (1,)  # of the control, among which it is drawn; with several it is unknown
+    gentleness: float = 1.0  # how many times as long it takes to reach a like share of the speed
     wind_up: float | None = None  # m/N, of the screw between table and a motor whose encoder is logged, too
 
     @property
@@ -58,14 +59,23 @@ class StudyAxis(NamedTuple):
                 force,
             ),
             "windage": force / length**2,
-            "lateness": bristle / length,
+            "lateness": self.resolution_ratio / length,
             **dict.fromkeys(("spring", "bumper"), force / length),
             **dict.fromkeys(
-                ("neutral", "wave_period", "cogging_period", "chip_place", "chip_width", "chain_length"), length
+                (
+                    "neutral",
+                    "wave_period",
+                    "cogging_period",
+                    "commutation_period",
+                    "chip_place",
+                    "chip_width",
+                    "chain_length",
+                ),
+                length,
             ),
             "slope": 1.0 / length,
             "extra_load": self.load_ratio,
-            **dict.fromkeys(("slip", "longest", "gap", "play"), bristle),
+            **dict.fromkeys(("slip", "longest", "gap"), bristle),
             **dict.fromkeys(("lead_error", "interpolation"), self.resolution_ratio),
             "interpolation_period": max(self.resolution_ratio, 1.0),
             "stiffness": float(self.drive.plant.mass) / float(presets.paper_drive().plant.mass),
@@ -98,7 +108,7 @@ def _gantry() -> StudyAxis:
     drive = _drive(presets.paper_drive(), 600.0, 0.0, friction, 200.0, 5e-7)
     return StudyAxis(drive, (5e-8, 2e-7), (500.0, 1000.0, 2000.0), (0.3, 0.5, 0.2), (40.0, 100.0),
                      length_ratio=4.0, force_ratio=3.5, load_ratio=0.32, bristle_ratio=3.0,
-                     resolution_ratio=5.0, cascaded=True, wind_up=5e-9)  # fmt: skip
+                     resolution_ratio=5.0, cascaded=True, wind_up=3e-10, gentleness=4.0)  # fmt: skip
 
 
 def _linear() -> StudyAxis:
@@ -135,7 +145,8 @@ def _cnc() -> StudyAxis:
     )  # fmt: skip
     drive = _drive(presets.paper_drive(), 450.0, 0.0, friction, 150.0, 1e-7)
     return StudyAxis(drive, (2e-8, 8e-8), (4000.0,), (1.0,), (150.0, 350.0),
-                     length_ratio=2.5, force_ratio=3.5, load_ratio=0.37, bristle_ratio=1.5, cascaded=True)  # fmt: skip
+                     length_ratio=2.5, force_ratio=3.5, load_ratio=0.37, bristle_ratio=1.5, cascaded=True,
+                     gentleness=2.0)  # fmt: skip
 
 
 AXES = {

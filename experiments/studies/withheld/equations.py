@@ -84,7 +84,6 @@ class FaultParameters(NamedTuple):
     spin_rise: Scalar = 20.0  # Hz/s
     spin_fastest: Scalar = 150.0  # Hz
     step: Scalar = 0.0  # N, of the command's counts
-    play: Scalar = 0.0  # m, of the scale's reading head
     film_time: Scalar = 0.0  # s, by which the film of oil, and with it the friction, lags behind the speed
     commutation: Scalar = 0.0  # share of the force, that comes and goes along the motor
     commutation_period: Scalar = 1e-3  # m
@@ -219,6 +218,7 @@ def rates(t: Scalar, s: MachineState, args: RateArguments, *, structure: Machine
         distance = f.longest * jnp.arange(1, ELEMENTS + 1) / ELEMENTS
         is_sliding = (s.elements * jnp.sign(s.v) >= 1.0) & (s.v != 0.0)
         elements = jnp.where(is_sliding, 0.0, s.v / distance)
+    bends = (jnp.asarray(f.chain) > 0.0) & ((s.chain * jnp.sign(s.v) < 1.0) | (s.v == 0.0))
     return MachineState(
         x=s.v,
         v=a,
@@ -232,5 +232,5 @@ def rates(t: Scalar, s: MachineState, args: RateArguments, *, structure: Machine
         age=1.0 - jnp.abs(s.v) * s.age / f.slip,
         elements=elements,
         film=jnp.where(jnp.asarray(f.film_time) > 0.0, (s.v - s.film) / jnp.maximum(f.film_time, 1e-6), 0.0),
-        chain=jnp.where((s.chain * jnp.sign(s.v) >= 1.0) & (s.v != 0.0), 0.0, s.v / f.chain_length),
+        chain=jnp.where(bends, s.v / f.chain_length, 0.0),
     )

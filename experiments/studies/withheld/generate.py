@@ -63,9 +63,12 @@ def _draw_pair(rng: np.random.Generator, names: list[str]) -> tuple[str, ...]:
             return pair
 
 
-def seen_in_place_of(effect: str, axis: StudyAxis) -> str:
-    """The effect that is drawn for an axis: a scale beside the motor does not see the screw, but has its own waves."""
-    return "interpolation_error" if effect == "lead_error" and axis.wind_up is not None else effect
+def seen_on(effects: tuple[str, ...], axis: StudyAxis) -> tuple[str, ...]:
+    """The effects that are drawn for an axis: a scale beside the motor does not see the screw, but has waves too."""
+    if axis.wind_up is None:
+        return effects
+    waves = next(name for name in ("interpolation_error", "cogging") if name not in effects)
+    return tuple(waves if name == "lead_error" else name for name in effects)
 
 
 def _follows(case: WithheldCase, log: Log) -> bool:
@@ -138,7 +141,7 @@ def generate(
     remove_temporary(parts)
     for number, effects in enumerate(draw_effects(seed, count)):
         name, axis = f"{number + 1:03d}", drive_axes[number % len(drive_axes)]
-        effects = tuple(seen_in_place_of(effect, axis) for effect in effects)
+        effects = seen_on(effects, axis)
         drawn = {"seed": seed, "of": count, "axis": repr(axis), "by": source_digest()}
         part = parts / f"{name}.json"
         exists = part.exists() and (folder / name / "drive.toml").exists()

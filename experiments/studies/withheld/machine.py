@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
+from scipy.interpolate import CubicSpline
 
 from diffdrive.model.parameters import Drive
 from diffdrive.numerics.arrays import Scalar, as_arrays
@@ -43,9 +44,10 @@ class MachineInputs(NamedTuple):
     friction_share: Signal  # share of Coulomb friction, outside the catalogue
     motor_noise: Signal | None = None  # 1, of unit variance; of an axis with a motor's encoder
     lateness: Signal | None = None  # s, by which a sample is taken late, outside the catalogue
+    cut: Signal | None = None  # share of the force that is lost, outside the catalogue
 
 
-_Carry = tuple[MachineState, Array, Loop, Array, Array]  # state, forces newest first, controller, head (m), count
+_Carry = tuple[MachineState, Array, Loop, Array]  # state, forces newest first, of the controller, count
 
 
 class MachineSignals(NamedTuple):
@@ -88,13 +90,12 @@ def _run(
     )
 
     def sample(carry: _Carry, along: tuple[Array, MachineInputs]) -> tuple[_Carry, tuple[Array, Array, Array | None]]:
-        state, forces, loop, head, k = carry
+        state, forces, loop, k = carry
         wanted_speed, inputs = along
         reference, load, noise, disturbance, friction_share = cast(tuple[Array, ...], inputs[:5])
-        motor_noise, lateness = inputs[5:]
+        motor_noise, lateness, cut = inputs[5:]
         time = k * period
-        head = jnp.clip(head, state.x - 0.5 * f.play, state.x + 0.5 * f.play)
-        reading = head + f.lead_error * jnp.cos(2 * jnp.pi * state.x / f.lead + f.lead_phase) + f.linear * state.x
+        reading = state.x + f.lead_error * jnp.cos(2 * jnp.pi * state.x / f.lead + f.lead_phase) + f.linear * state.x
         angle = 2 * jnp.pi * state.x / f.interpolation_period + f.interpolation_phase
         reading = reading + f.interpolation * jnp.sin(angle) + noise
         reading = reading if lateness is None else reading + lateness * state.v
@@ -102,8 +103,10 @@ def _run(
         motor = None
         if motor_noise is not None:
             fine = MOTOR_SHARE * resolution
-            wound = state.q if structure.elastic else wind_up * forces[0]
-            motor = fine * jnp.round((state.x + wound) / fine + motor_noise)
+            acting = state.force if structure.lagging else forces[jnp.floor(f.delay).astype(int)]
+            wound = state.q if structure.elastic else wind_up * acting
+            ahead = 0.0 if lateness is None else lateness * (state.v + state.w)
+            motor = fine * jnp.round((state.x + wound + ahead) / fine + motor_noise)
         loop = loop._replace(past=jnp.where(k == 0, measured, loop.past))
         asked, loop = command(control, loop, reference, wanted_speed, measured, period)
         force = jnp.clip((1.0 + f.gain) * asked, -f.limit, f.limit)
@@ -111,6 +114,7 @@ def _run(
         force = force * (1.0 - f.fading * (1.0 - jnp.exp(-time / f.fading_time)))
         # no more than there is
         force = force - f.dead * jnp.tanh(force / jnp.maximum(f.dead, DEAD_TIME_ROUNDING))
+        force = force if cut is None else force * (1.0 - cut)
         count = jnp.maximum(f.step, 1e-9)
         force = jnp.where(jnp.asarray(f.step) > 0.0, count * jnp.round(force / count), force)
         forces = jnp.concatenate([force[None], forces[:-1]])
@@ -138,13 +142,13 @@ def _run(
             age=jnp.maximum(next_state.age, 0.0),
             chain=jnp.clip(next_state.chain, -1.0, 1.0),
         )
-        return (next_state, forces, loop, head, k + 1.0), (measured, asked, motor)
+        return (next_state, forces, loop, k + 1.0), (measured, asked, motor)
 
     zero = jnp.zeros(())
     still = (zero,) * 9
     at_rest = MachineState(*still, f.rested + zero, jnp.zeros(ELEMENTS), zero, zero)
     start = at_rest._replace(x=inputs.reference[0])
-    carry = (start, jnp.zeros(MAX_DELAY + 2), Loop(zero, jnp.zeros(samples)), jnp.asarray(start.x), zero)
+    carry = (start, jnp.zeros(MAX_DELAY + 2), Loop(zero, jnp.zeros(samples)), zero)
     return lax.scan(sample, carry, (speed, inputs))[1]
 
 
@@ -165,8 +169,10 @@ def run(
     the speed of the reference as it takes the table's, a cascade knows it.
     """
     reference = np.asarray(inputs.reference)
-    speed = rate * (np.gradient(reference) if control.cascaded else np.diff(reference, prepend=reference[0]))
+    speed = rate * np.diff(reference, prepend=reference[0])
     behind = control.following_error(float(np.abs(speed).max()))
+    if control.cascaded:
+        speed = CubicSpline(np.arange(len(reference)) / rate, reference)(np.arange(len(reference)) / rate, 1)
     drive, faults, control, inputs = as_arrays((drive, faults, control, inputs))
     scalars = as_arrays((resolution, wind_up, behind))
     position, asked, motor = _run(

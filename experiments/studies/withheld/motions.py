@@ -12,14 +12,17 @@ MAX_LOAD = 8e3  # N, of that load
 LOAD_RAMP = 0.1  # s, in which a load is applied or removed
 
 
-def draw_reference(rng: np.random.Generator, rate: float) -> Float[np.ndarray, " n"]:
-    """Strokes at several speeds with pauses, and oscillations, as a commissioning engineer would run them (m)."""
+def draw_reference(rng: np.random.Generator, rate: float, gentleness: float = 1.0) -> Float[np.ndarray, " n"]:
+    """Strokes at several speeds with pauses, and oscillations, as a commissioning engineer would run them (m).
+
+    It takes `gentleness` times as long to reach a speed.
+    """
     pieces, position = [np.zeros(round(0.2 * rate))], 0.0
     elapsed, duration = 0.2, rng.uniform(MIN_DURATION, MAX_DURATION)
     while elapsed < duration:
         if rng.random() < 0.25:
             amplitude, frequency = np.exp(rng.uniform(np.log(2e-5), np.log(3e-3))), rng.uniform(0.8, 5.0)
-            amplitude = min(amplitude, 4.0 / (2 * np.pi * frequency) ** 2)
+            amplitude = min(amplitude, 4.0 / gentleness / (2 * np.pi * frequency) ** 2)
             time = np.arange(round(max(2.0 / frequency, 0.8) * rate)) / rate
             turns = np.round(time[-1] * frequency)
             smooth = np.sin(np.pi * np.clip(time / time[-1], 0, 1)) ** 2
@@ -29,7 +32,7 @@ def draw_reference(rng: np.random.Generator, rate: float) -> Float[np.ndarray, "
             stroke = min(speed * rng.uniform(0.3, 1.2), 0.7 * STROKE) * rng.choice([-1.0, 1.0])
             if abs(position + stroke) > STROKE:
                 stroke = -stroke
-            ramp = max(0.04, speed / rng.uniform(0.8, 2.5))
+            ramp = gentleness * max(0.04, speed / rng.uniform(0.8, 2.5))
             time = np.arange(round((abs(stroke) / speed + ramp) * rate)) / rate
             share = np.clip(time / ramp, 0, 1)
             rise = share**3 * (10 - 15 * share + 6 * share**2)
@@ -53,6 +56,14 @@ def draw_load(rng: np.random.Generator, n: int, rate: float) -> Float[np.ndarray
     return load * np.clip((time - start) / LOAD_RAMP, 0, 1) * np.clip((end - time) / LOAD_RAMP, 0, 1)
 
 
+def _cuts(rng: np.random.Generator, n: int, rate: float, lasting: float) -> Float[np.ndarray, " n"]:
+    """Ones while the force is lost, for `lasting` (s) and at least a sample, at instants drawn at random."""
+    cut, width = np.zeros(n), max(1, round(lasting * rate))
+    for time in rng.uniform(0.5, n / rate - 0.5, rng.integers(8, 20)):
+        cut[int(time * rate) : int(time * rate) + width] = 1.0
+    return cut
+
+
 def draw_inputs(
     rng: np.random.Generator,
     load_rng: np.random.Generator,
@@ -61,6 +72,7 @@ def draw_inputs(
     random_scales: dict[str, float],
     length: float,
     load: float,
+    gentleness: float = 1.0,
     motor_rng: np.random.Generator | None = None,
 ) -> MachineInputs:
     """The inputs of one log at `rate` (Hz) under `noise` (m, rms); `random_scales` as in `faults.InjectedFault`.
@@ -68,7 +80,7 @@ def draw_inputs(
     Motions are `length` times as long and as fast as on the paper's axis, loads `load` times as large; the load is
     drawn from `load_rng`, and from `motor_rng` the noise of a motor's encoder, where there is one.
     """
-    reference = length * draw_reference(rng, rate)
+    reference = length * draw_reference(rng, rate, gentleness)
     n = len(reference)
     disturbance, friction_share = np.zeros(n), np.zeros(n)
     if "peak" in random_scales:
@@ -96,4 +108,5 @@ def draw_inputs(
         reference, load * draw_load(load_rng, n, rate), readings, disturbance, friction_share,
         motor_noise=None if motor_rng is None else motor_rng.standard_normal(n),
         lateness=random_scales["lateness"] * rng.standard_normal(n) if "lateness" in random_scales else None,
+        cut=_cuts(rng, n, rate, random_scales["cut"]) if "cut" in random_scales else None,
     )  # fmt: skip

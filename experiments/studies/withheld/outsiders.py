@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from experiments.studies.withheld.faults import POLES, InjectedFault, Parameters, fault, log_uniform
-from experiments.studies.withheld.motions import STROKE
+from experiments.studies.withheld.motions import MAX_DURATION, STROKE
 
 
 def _chip(rng: np.random.Generator, size: float) -> InjectedFault:
@@ -53,12 +53,13 @@ def _wandering(rng: np.random.Generator, size: float) -> InjectedFault:
 
 
 def _run_up(rng: np.random.Generator, size: float) -> InjectedFault:
-    """A spindle out of balance, whose force grows with the square of its speed."""
+    """A spindle out of balance, whose force grows with the square of its speed as long as the log lasts."""
+    fastest = float(rng.uniform(60.0, 180.0))
     parameters: Parameters = {
-        "spin": 2.0 * size,
-        "spin_start": tuple(rng.uniform(0.5, 3.0, 2)),
-        "spin_rise": float(rng.uniform(10.0, 40.0)),
-        "spin_fastest": float(rng.uniform(60.0, 180.0)),
+        "spin": 6.0 * size,
+        "spin_start": tuple(rng.uniform(0.2, 1.0, 2)),
+        "spin_rise": fastest / MAX_DURATION,
+        "spin_fastest": fastest,
     }
     return fault("run_up", size, parameters)
 
@@ -68,9 +69,9 @@ def _coarse_command(rng: np.random.Generator, size: float) -> InjectedFault:
     return fault("coarse_command", size, {"step": 4.0 * size})
 
 
-def _loose_head(rng: np.random.Generator, size: float) -> InjectedFault:
-    """A reading head that follows the table with some play."""
-    return fault("loose_head", size, {"play": 4e-7 * size})
+def _dropouts(rng: np.random.Generator, size: float) -> InjectedFault:
+    """A power stage that lets go for some milliseconds."""
+    return fault("dropouts", size, random_scales={"cut": 2e-3 * size})
 
 
 def _frictional_lag(rng: np.random.Generator, size: float) -> InjectedFault:
@@ -114,7 +115,7 @@ def _neighbour(rng: np.random.Generator, size: float) -> InjectedFault:
 UNSEEN: dict[str, Callable[[np.random.Generator, float], InjectedFault]] = {
     "run_up": _run_up,
     "coarse_command": _coarse_command,
-    "loose_head": _loose_head,
+    "dropouts": _dropouts,
     "frictional_lag": _frictional_lag,
     "clock_jitter": _clock_jitter,
     "commutation": _commutation,

@@ -87,6 +87,7 @@ def score(answers: Answers, key: Key, oracle: Answers | None = None) -> dict[str
         "said_none": [row["said_none"] for row in no_effect],
         "false_alarms": [row["alarm"] for row in no_effect],
         "unknown_recall": [row["said_unknown"] for row in outside],
+        "unknown_clear": [row["said_unknown"] for row in outside if row["clear"]],
         "both_found": [row["both"] for row in compounds],
         "both_named": [row["exact"] for row in compounds],
         "pitfall_named": [row["named"] for row in pitfalls],

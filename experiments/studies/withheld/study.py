@@ -24,6 +24,7 @@ SHOWN = (
     "cases", "errors", "clear_single", "named_clear", "exact_clear", "top1_clear", "declared_clear", "top2_clear",
     "drawn_clear", "named_drawn_clear", "faint_single", "named_faint", "top1_faint", "top2_faint",
     "confidently_wrong_faint", "confidently_wrong", "none", "said_none", "false_alarms", "outside", "unknown_recall",
+    "unknown_clear",
     "compounds", "both_found", "both_named", "pitfalls", "pitfall_named", "calibration_error", "median_parameter_error",
     "median_shrink_held_out", "quarter_shrink_held_out", "median_shrink_of_oracle", "quarter_shrink_of_oracle",
     "shrinks_of_oracle", "oracle_asked", "interval_coverage", "intervals_told", "declared_at_once", "most_declared",

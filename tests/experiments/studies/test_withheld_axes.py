@@ -83,8 +83,8 @@ def test_a_sound_machine_of_any_axis_is_the_simulators(axis):
     bandwidth, mass = float(np.mean(study_axis.bandwidth)), float(study_axis.drive.plant.mass)
     gain = mass * bandwidth
     if study_axis.cascaded:
-        control = Control(1.0, bandwidth / 5.0, gain, gain * bandwidth / 5.0, 0.0)
-        ours = Cascade(bandwidth / 5.0, gain, gain * bandwidth / 5.0, velocity_samples=2)
+        control = Control(1.0, bandwidth / 5.0, gain, gain * bandwidth / 5.0, 0.9)
+        ours = Cascade(bandwidth / 5.0, gain, gain * bandwidth / 5.0, 0.9, velocity_samples=2)
     else:
         control = Control(0.0, gain * bandwidth, 0.6 * gain)
         ours = PD(Tracking(PDGains(gain * bandwidth, 0.6 * gain)))
@@ -134,9 +134,25 @@ def test_the_drive_file_of_a_case_holds_its_loop_and_its_trace(name, tmp_path):
 
 
 def test_a_scale_beside_the_motor_has_waves_of_its_own_in_the_place_of_the_screws_error():
-    assert generate.seen_in_place_of("lead_error", AXES["gantry"]) == "interpolation_error"
-    assert generate.seen_in_place_of("lead_error", AXES["cnc"]) == "lead_error"
-    assert generate.seen_in_place_of("cogging", AXES["gantry"]) == "cogging"
+    gantry = AXES["gantry"]
+    assert generate.seen_on(("lead_error",), gantry) == ("interpolation_error",)
+    assert generate.seen_on(("lead_error", "interpolation_error"), gantry) == ("cogging", "interpolation_error")
+    assert generate.seen_on(("cogging", "lead_error"), gantry) == ("cogging", "interpolation_error")
+    assert generate.seen_on(("lead_error",), AXES["cnc"]) == ("lead_error",)
+
+
+ALIKE = {  # shares, times, frequencies and phases, which are what they are on any axis
+    "load_start", "load_end", "wave", "wave_phase", "middle", "drift_viscous", "drift_coulomb", "drift_time", "growth",
+    "onset", "rested", "cogging_phase", "second", "sixth", "process_frequency", "process_phase", "process_start",
+    "process_end", "base_ratio", "base_frequency", "base_damping", "screw_damping", "motor_share", "table_friction",
+    "gain", "limit", "lag", "delay", "lead", "lead_phase", "linear", "interpolation_phase", "chip_start", "droop",
+    "fading", "fading_time", "bumper_place", "spin_start", "spin_rise", "spin_fastest", "film_time", "commutation",
+    "commutation_phase",
+}  # fmt: skip
+
+
+def test_every_dimension_of_a_fault_is_scaled_to_its_axis():
+    assert set(FaultParameters._fields) - AXES["gantry"].sizes().keys() == ALIKE
 
 
 def test_a_control_lags_by_what_it_does_not_feed_forward():
