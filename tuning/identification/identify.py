@@ -145,23 +145,48 @@ def identify(
     progress = _interrupt if stopped else progress
     held = refine(Innovations(free, sampling_of(rate, FINE_SUBSTEP)), theta, problem, setup.noise, progress, store)
 
-    def by_scale() -> Identification:
-        bounds = {name: limits for name, limits in (bounded or {}).items() if name.rpartition(".")[2] != "compliance"}
-        return identify(
-            [log.replace(motor_position=None) for log in logs], drive,
-            fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=progress, start=start,
-            between=between,
-        )  # fmt: skip
+    def finished(full_fit: RefinedFit) -> Identification:
+        return _finished(full_fit, setup, points, costs, progress, store)
 
-    alone: Identification | None = None
-    if between is None and problem.lanes.motor is not None and lacks_force(held):
-        # both encoders have the same rows; what the screw does between them looks like a command that is not held
-        alone = by_scale()
-        between = alone.between
-        held = held._replace(search=held.search.interrupted()) if was_interrupted(alone.search) else held
-    full_fit = (
-        held if between is BetweenRows.HELD else as_rows_show(held, problem, setup.noise, progress, store, between)
+    def as_rows(between: BetweenRows | None) -> RefinedFit:
+        return as_rows_show(held, problem, setup.noise, progress, store, between)
+
+    if problem.lanes.motor is None or between is BetweenRows.SMOOTH or not lacks_force(held):
+        return finished(held if between is BetweenRows.HELD else as_rows(between))
+    bounds = {name: limits for name, limits in (bounded or {}).items() if name.rpartition(".")[2] != "compliance"}
+    alone = identify(
+        [log.replace(motor_position=None) for log in logs], drive,
+        fixed=fixed, bounded=bounds, starts=starts, seed=seed, store=store, progress=progress, start=start,
+        between=between,
+    )  # fmt: skip
+    if was_interrupted(alone.search):
+        return finished(held._replace(search=held.search.interrupted()))
+    found = finished(as_rows(BetweenRows.SMOOTH) if alone.between is BetweenRows.SMOOTH else held)
+    if was_interrupted(found.search) or not found.adequacy.lacks_force:
+        return found
+    if permitted(found, alone) >= SIGNIFICANCE:
+        # of a scale that leaves no force, what the rows are was not asked: the finer encoder may show it
+        is_known = between is not None or alone.between is BetweenRows.SMOOTH or lacks_force(alone.full_fit)
+        rows = held if is_known else as_rows(None)
+        return found if rows.residuals.between is held.residuals.between else finished(rows)
+    note = (
+        f"the scale alone is fitted, and not the motor's encoder: with both a force of {found.adequacy.missing:.2g} N "
+        f"RMS is missing, with the scale {alone.adequacy.missing:.2g} N, and its answer is another: the motor moves "
+        "against the table as no rigid machine does; a diagnosis looks for what the screw between them does"
     )
+    return replace(alone, notes=(note, *alone.notes))
+
+
+def _finished(
+    full_fit: RefinedFit,
+    setup: IdentificationSetup,
+    points: Float[np.ndarray, "s k"],
+    costs: Float[np.ndarray, " s"],
+    progress: StepProgress,
+    store: Store | None,
+) -> Identification:
+    """The answer of a fit with every parameter free; `points` and `costs` are where the coarse searches ended."""
+    problem, free, rate = setup.problem, coordinates(setup.free), setup.rate
     undetermined = _undetermined(full_fit)
     fit = full_fit
     if undetermined and not was_interrupted(full_fit.search):
@@ -183,7 +208,7 @@ def identify(
     table, scatter = estimates(
         fit.search.theta, fit.residuals, fit.problem, fit.covariance, undetermined | setup.unexcited
     )
-    found = Identification(
+    return Identification(
         drive=drive_found,
         estimates=table,
         estimate_covariance=scatter,
@@ -203,25 +228,12 @@ def identify(
         velocity=fit.velocity[:, :longest],
         search=fit.search,
         start_costs=costs / costs.min(),
-        simulations=(COARSE_STEPS * starts + fit.steps) * (1 + len(free)) + DELAYS,
+        simulations=(COARSE_STEPS * len(points) + fit.steps) * (1 + len(free)) + DELAYS,
         notes=(*setup.notes, *remark),
         full_fit=full_fit,
         open_unknowns=frozenset(undetermined | setup.unexcited),
         rival=rival,
     )
-    if fit.problem.lanes.motor is None or was_interrupted(fit.search) or not found.adequacy.lacks_force:
-        return found
-    alone = by_scale() if alone is None else alone
-    if was_interrupted(alone.search):
-        return replace(found, search=found.search.interrupted())
-    if permitted(found, alone) >= SIGNIFICANCE:
-        return found
-    note = (
-        f"the scale alone is fitted, and not the motor's encoder: with both a force of {found.adequacy.missing:.2g} N "
-        f"RMS is missing, with the scale {alone.adequacy.missing:.2g} N, and its answer is another: the motor moves "
-        "against the table as no rigid machine does; a diagnosis looks for what the screw between them does"
-    )
-    return replace(alone, notes=(note, *alone.notes))
 
 
 def require_search(starts: int, seed: int) -> None:

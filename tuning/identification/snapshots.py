@@ -44,8 +44,10 @@ def as_rows_show(
     Both have the same parameters, so that their likelihoods can be compared. Where a held command would act before it
     was given, the smooth one is fitted: with the command as it was logged, and with its noise taken out, which weighs
     against it. Elsewhere it has to be likelier at the point that the held one was fitted to. Where the held command
-    leaves no force missing, nothing else is tried. `problem` is the one that the fit began with; `between` is what the
-    command is known to do.
+    leaves no force missing, nothing else is tried. A held fit that got stuck makes any other reading likelier: where
+    the smooth command turns out to act no earlier than a held one may, the held one is fitted again from there.
+
+    `problem` is the one that the fit began with; `between` is what the command is known to do.
     """
     if was_interrupted(held.search) or (between is None and not lacks_force(held)):
         return held
@@ -65,16 +67,23 @@ def as_rows_show(
     try:
         if between is None and _acts_early(held):
             is_smooth = deviance(SMOOTH, is_noisy=True) < held.deviance
-            smooth = deviance(SMOOTH, is_noisy=False)
-            is_smooth = is_smooth or smooth < deviance(HELD, is_noisy=False)
+            without_it = deviance(SMOOTH, is_noisy=False)
+            is_smooth = is_smooth or without_it < deviance(HELD, is_noisy=False)
         else:
             there = dataclasses.replace(held.residuals, between=SMOOTH), held.search.theta, problem, noise
             is_smooth = between is SMOOTH or most_likely_at(*there).deviance < held.deviance
             if is_smooth:
                 deviance(SMOOTH, is_noisy=False)
+        if not is_smooth:
+            return held._replace(steps=steps)
+        smooth = fits[SMOOTH, False]
+        if between is SMOOTH or _acts_early(smooth):
+            return smooth._replace(steps=steps)
+        again = refine(held.residuals, smooth.search.theta, problem, noise, progress, store)
+        best = again if was_interrupted(again.search) or again.deviance < smooth.deviance else smooth
+        return best._replace(steps=steps + again.steps)
     except KeyboardInterrupt:
         return held._replace(search=held.search.interrupted(), steps=steps)
-    return (fits[SMOOTH, False] if is_smooth else held)._replace(steps=steps)
 
 
 def _acts_early(fit: RefinedFit) -> bool:

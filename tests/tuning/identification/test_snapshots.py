@@ -73,8 +73,11 @@ def fit(deviance, between=BetweenRows.HELD, gain=1e4, outcome=Outcome.CONVERGED,
     )
 
 
-def shown(monkeypatch, deviances, acts_early=False, held=None, between=None):
-    """The reading that is taken where the fits of (reading, is noisy) have these deviances; their order."""
+def shown(monkeypatch, deviances, acts_early=False, held=None, between=None, smooth_early=True):
+    """The reading that is taken where the fits of (reading, is noisy) have these deviances; their order.
+
+    `acts_early` says it of a held command, `smooth_early` of a smooth one.
+    """
     quiet, tried = np.zeros((1, 500)), []
     lanes = Lanes(quiet, quiet + NOISE.normal(size=quiet.shape), quiet, quiet, quiet + 1.0, np.zeros(1))
     problem = IdentificationProblem(None, None, None, lanes, None, np.zeros(1), np.zeros((2, 1)), np.zeros(1))
@@ -90,7 +93,8 @@ def shown(monkeypatch, deviances, acts_early=False, held=None, between=None):
 
     monkeypatch.setattr(snapshots, "refine", refined)
     monkeypatch.setattr(snapshots, "most_likely_at", there)
-    monkeypatch.setattr(snapshots, "_acts_early", lambda _: acts_early)
+    early = {HELD: acts_early, SMOOTH: smooth_early}
+    monkeypatch.setattr(snapshots, "_acts_early", lambda fitted: early[fitted.residuals.between])
     return snapshots.as_rows_show(held or fit(100.0), problem, 1e-8, no_progress, None, between), tried
 
 
@@ -102,6 +106,22 @@ def test_a_smooth_command_is_taken_where_it_is_likelier_than_a_held_one_at_its_o
     found, _ = shown(monkeypatch, {"there": 99.0, (SMOOTH, False): 95.0})
     assert found.residuals.between is SMOOTH
     assert (found.deviance, found.steps) == (95.0, 6)
+
+
+@pytest.mark.parametrize(("again", "reading"), [(40.0, HELD), (95.5, SMOOTH)])
+def test_a_held_fit_that_was_stuck_goes_on_from_where_the_smooth_one_ended(monkeypatch, again, reading):
+    deviances = {"there": 99.0, (SMOOTH, False): 95.0, (HELD, True): again}
+    found, tried = shown(monkeypatch, deviances, smooth_early=False)
+    assert found.residuals.between is reading
+    assert tried == [(SMOOTH, False), (HELD, True)]
+    assert found.steps == 9
+
+
+def test_what_the_rows_are_known_to_be_is_not_asked_again(monkeypatch):
+    deviances = {"there": 99.0, (SMOOTH, False): 95.0}
+    found, tried = shown(monkeypatch, deviances, between=SMOOTH, smooth_early=False)
+    assert found.residuals.between is SMOOTH
+    assert tried == [(SMOOTH, False)]
 
 
 def test_a_held_command_is_kept_where_it_is_likelier(monkeypatch):
