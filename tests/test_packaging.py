@@ -95,6 +95,20 @@ def test_imports_within_diffdrive_point_from_the_whole_to_its_parts(path):
     assert against == []
 
 
+DIAGNOSIS = ("filter", "hypotheses", "fits", "gap", "selection", "judgement", "limits")  # each uses those before it
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in SOURCES if path.is_relative_to(ROOT / "tuning" / "diagnosis")], ids=module_name
+)
+def test_the_parts_of_the_diagnosis_use_those_before_them(path):
+    part = module_name(path).split(".")[2:3]
+    rank = DIAGNOSIS.index(part[0]) if part and part[0] in DIAGNOSIS else len(DIAGNOSIS)
+    imported = {other.split(".")[2] for other in imports_of(path) if other.startswith("tuning.diagnosis.")}
+    assert not [other for other in imported if other in DIAGNOSIS and DIAGNOSIS.index(other) > rank]
+    assert not imported - set(DIAGNOSIS) or rank == len(DIAGNOSIS)
+
+
 def run_code(code):
     """Run code in a Python of its own, without what the tests themselves have set for jax."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("XLA_", "JAX_"))}

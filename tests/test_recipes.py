@@ -29,9 +29,9 @@ from diffdrive.numerics.arrays import as_arrays
 from experiments.cli.main import app
 from tests.support.perturbed_machine import catalogue, fitter_of
 from tests.support.sound_log import DRIVE, SOUND
-from tuning.diagnosis.calibration import TOLERANCE
-from tuning.diagnosis.screening import screen
-from tuning.diagnosis.search import fit_from, recalibrated
+from tuning.diagnosis.hypotheses.calibration import TOLERANCE
+from tuning.diagnosis.selection.screening import screen
+from tuning.diagnosis.selection.search import fit_from, recalibrated
 from tuning.gains.objective import AGGREGATIONS, Objective
 from tuning.gains.scenarios import EnsembleSignals
 

@@ -2,7 +2,7 @@ from .accuracy.result import SeverityResult
 from .accuracy.severity import severity
 from .comparison.result import ComparisonResult
 from .comparison.workflow import compare
-from .diagnosis.stages import Stage
+from .diagnosis.selection.stages import Stage
 from .diagnosis.workflow import Cause, DiagnosisResult, diagnose
 from .gains.notch import propose_notch
 from .gains.objective import Objective, register_aggregation

@@ -25,7 +25,7 @@ from experiments.studies.emps.study import Records, identify_axis
 from tuning.diagnosis.as_json import cause
 from tuning.diagnosis.cause_words import numbers
 from tuning.diagnosis.diagnose import Diagnosis, diagnose
-from tuning.diagnosis.inverse import force_error
+from tuning.diagnosis.gap.inverse import force_error
 from tuning.diagnosis.registration import registered
 from tuning.diagnosis.workflow import augmented_drive
 from tuning.identification.inverse_dynamics import DYNAMICS

@@ -16,13 +16,13 @@ from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.runtime import configure
 from experiments.studies.resumed import resumed
 from tuning.checked_logs import checked
-from tuning.diagnosis.calibration import TOLERANCE
-from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import logged_of
-from tuning.diagnosis.explain import MOST_EFFECTS
-from tuning.diagnosis.leftover import complete
-from tuning.diagnosis.search import recalibrated
-from tuning.diagnosis.setting import setting
+from tuning.diagnosis.fits.leftover import complete
+from tuning.diagnosis.hypotheses.calibration import TOLERANCE
+from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.setting import setting
+from tuning.diagnosis.selection.explain import MOST_EFFECTS
+from tuning.diagnosis.selection.search import recalibrated
 from tuning.hypotheses.fitter import OneMassFitter
 from tuning.hypotheses.search import Found, Judged, search
 

@@ -13,8 +13,8 @@ from diffdrive.effects.forces import ConstantForce
 from diffdrive.logs import write_log
 from experiments.reports.diagnosis import diagnosis as command
 from tests.support.sound_log import DRIVE, simulate_log, two_sines
-from tuning.diagnosis.calibration import LOGARITHMS, calibrated
 from tuning.diagnosis.diagnose import diagnose
+from tuning.diagnosis.hypotheses.calibration import LOGARITHMS, calibrated
 from tuning.diagnosis.next_experiment import Experiment
 
 # how far the machine is from its file, but for constant force and delay

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tuning.diagnosis import explain, leftover
-from tuning.diagnosis.calibration import NAMES, tolerated
+from tuning.diagnosis.fits import leftover
+from tuning.diagnosis.hypotheses.calibration import NAMES, tolerated
+from tuning.diagnosis.selection import explain
 
 SEARCHED = ("backlash", "compliance")
 

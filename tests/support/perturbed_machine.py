@@ -10,12 +10,12 @@ import numpy as np
 from diffdrive.model.parameters import Sampling
 from diffdrive.numerics.arrays import as_arrays
 from tests.support.sound_log import DRIVE, RATE, simulate_log, two_sines
-from tuning.diagnosis.calibration import LOGARITHMS, TOLERANCE, calibrated
-from tuning.diagnosis.candidates import candidates
-from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.model import Logged
-from tuning.diagnosis.search import recalibrated
-from tuning.diagnosis.setting import setting
+from tuning.diagnosis.fits.fitting import Fitter
+from tuning.diagnosis.hypotheses.calibration import LOGARITHMS, TOLERANCE, calibrated
+from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.model import Logged
+from tuning.diagnosis.hypotheses.setting import setting
+from tuning.diagnosis.selection.search import recalibrated
 from tuning.identification.problem import lanes_of, noise_floor
 
 # how far the machine is from its file, but for constant force and delay

@@ -13,9 +13,9 @@ from tests.support.small_tuning import small_problem
 from tests.tuning.identification.test_prediction import DELAYED, NOISE, SAMPLING, noisy_lane, problem_at
 from tests.tuning.identification.test_replay import CONTROLLERS, axis, logged
 from tests.tuning.identification.test_replay import SAMPLING as LOGGED
-from tuning.diagnosis.calibration import TOLERANCE
-from tuning.diagnosis.screening import screen
-from tuning.diagnosis.search import fit_from, recalibrated
+from tuning.diagnosis.hypotheses.calibration import TOLERANCE
+from tuning.diagnosis.selection.screening import screen
+from tuning.diagnosis.selection.search import fit_from, recalibrated
 from tuning.gains.constrained import evaluate, linearise_at
 from tuning.identification.filter_gain import most_likely
 from tuning.identification.replay import replay_closed_loop

@@ -10,17 +10,17 @@ from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.model.quantity import Directional
 from diffdrive.results import as_json as plain
 from diffdrive.support.spans import format_span
-from tuning.diagnosis.calibration import DELAY, FORCE, LOGARITHMS, NAMES
-from tuning.diagnosis.dependence_words import dependence_says, dependences_say
 from tuning.diagnosis.diagnose import Diagnosis
-from tuning.diagnosis.held_out import HIDDEN, closed
-from tuning.diagnosis.intervals import deviations, parameters
-from tuning.diagnosis.ladder import Rung, known_floor
-from tuning.diagnosis.leftover import STRAINED, meant, strain
-from tuning.diagnosis.limit_words import limit_says, limits_say, rivalry_says
-from tuning.diagnosis.model import Logged
+from tuning.diagnosis.fits.intervals import deviations, parameters
+from tuning.diagnosis.fits.leftover import STRAINED, meant, strain
+from tuning.diagnosis.gap.dependence_words import dependence_says, dependences_say
+from tuning.diagnosis.hypotheses.calibration import DELAY, FORCE, LOGARITHMS, NAMES
+from tuning.diagnosis.hypotheses.model import Logged
+from tuning.diagnosis.judgement.held_out import HIDDEN, closed
+from tuning.diagnosis.judgement.ladder import Rung, known_floor
+from tuning.diagnosis.judgement.verdict import Belief
+from tuning.diagnosis.limits.limit_words import limit_says, limits_say, rivalry_says
 from tuning.diagnosis.next_experiment import Experiment
-from tuning.diagnosis.verdict import Belief
 from tuning.identification.estimates import NORMAL
 
 NOT_NOTHING = 5e-4  # of confidence: what has less has no rivals that anyone would ask for

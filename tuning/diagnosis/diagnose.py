@@ -22,32 +22,32 @@ from diffdrive.model.parameters import Drive, Sampling, require_coulomb_friction
 from diffdrive.model.uncertainty import Uncertainty
 from diffdrive.numerics.arrays import as_arrays
 from diffdrive.support.rates import is_same_rate
-from tuning.diagnosis.calibration import TOLERANCE
-from tuning.diagnosis.candidates import candidates, given
-from tuning.diagnosis.command_left import doubted_by_command
-from tuning.diagnosis.coverage import shortcomings
-from tuning.diagnosis.dependence import Dependence, dependences
-from tuning.diagnosis.detection import DetectionLimit, detection_limits, small_amounts
-from tuning.diagnosis.events import doubted_by_event
-from tuning.diagnosis.explain import MOST_EFFECTS, Explanation, evidence_needed, explain
-from tuning.diagnosis.exposure import in_parts
-from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.gap import ForceGap, force_gap, force_noise, rms_of_noise, uncoupled
-from tuning.diagnosis.held_out import Closed, closed, closing, confirmed, left_in_loop, upheld
-from tuning.diagnosis.isolability import Rivalry, rivalries
-from tuning.diagnosis.ladder import Rung, climb, known_floor
-from tuning.diagnosis.laps import Laps, laps
-from tuning.diagnosis.leftover import LACKING, SLIDING, complete, credible, furthest
-from tuning.diagnosis.model import Logged, Member, counted_in, thinned
-from tuning.diagnosis.reading import likeliest_snapshots
-from tuning.diagnosis.search import Progress, Round, recalibrated
-from tuning.diagnosis.second_encoder import twist_of
-from tuning.diagnosis.setting import setting
-from tuning.diagnosis.splitting import Split
-from tuning.diagnosis.stages import Tell, of_gap, untold
-from tuning.diagnosis.trust import comparing
-from tuning.diagnosis.verdict import Verdict, judge
-from tuning.diagnosis.where import Region, localise
+from tuning.diagnosis.filter.exposure import in_parts
+from tuning.diagnosis.filter.second_encoder import twist_of
+from tuning.diagnosis.fits.fitting import Fitted, Fitter
+from tuning.diagnosis.fits.leftover import LACKING, SLIDING, complete, credible, furthest
+from tuning.diagnosis.fits.trust import comparing
+from tuning.diagnosis.gap.dependence import Dependence, dependences
+from tuning.diagnosis.gap.gap import ForceGap, force_gap, force_noise, rms_of_noise, uncoupled
+from tuning.diagnosis.gap.laps import Laps, laps
+from tuning.diagnosis.gap.splitting import Split
+from tuning.diagnosis.gap.where import Region, localise
+from tuning.diagnosis.hypotheses.calibration import TOLERANCE
+from tuning.diagnosis.hypotheses.candidates import candidates, given
+from tuning.diagnosis.hypotheses.coverage import shortcomings
+from tuning.diagnosis.hypotheses.model import Logged, Member, counted_in, thinned
+from tuning.diagnosis.hypotheses.setting import setting
+from tuning.diagnosis.judgement.command_left import doubted_by_command
+from tuning.diagnosis.judgement.events import doubted_by_event
+from tuning.diagnosis.judgement.held_out import Closed, closed, closing, confirmed, left_in_loop, upheld
+from tuning.diagnosis.judgement.ladder import Rung, climb, known_floor
+from tuning.diagnosis.judgement.verdict import Verdict, judge
+from tuning.diagnosis.limits.detection import DetectionLimit, detection_limits, small_amounts
+from tuning.diagnosis.limits.isolability import Rivalry, rivalries
+from tuning.diagnosis.selection.explain import MOST_EFFECTS, Explanation, evidence_needed, explain
+from tuning.diagnosis.selection.reading import likeliest_snapshots
+from tuning.diagnosis.selection.search import Progress, Round, recalibrated
+from tuning.diagnosis.selection.stages import Tell, of_gap, untold
 from tuning.identification.padding import padded
 from tuning.identification.problem import MIN_LANE_SAMPLES, lanes_of, long_pieces, noise_floor, sampling_of
 from tuning.identification.shown_motion import Shortcoming

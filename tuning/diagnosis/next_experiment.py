@@ -25,11 +25,11 @@ from diffdrive.model.parameters import Sensor
 from diffdrive.motion.motion import Motion, require_within
 from diffdrive.numerics.arrays import as_arrays
 from tuning.diagnosis.diagnose import Diagnosis
-from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.gap import MOVING, drive_of
-from tuning.diagnosis.model import Logged, Model, thinned
-from tuning.diagnosis.verdict import Belief
-from tuning.diagnosis.where import SIGNIFICANT, Region
+from tuning.diagnosis.fits.fitting import Fitted, Fitter
+from tuning.diagnosis.gap.gap import MOVING, drive_of
+from tuning.diagnosis.gap.where import SIGNIFICANT, Region
+from tuning.diagnosis.hypotheses.model import Logged, Model, thinned
+from tuning.diagnosis.judgement.verdict import Belief
 from tuning.experiment_design.next_motion import ACCELERATION, available_limits, candidates
 from tuning.identification.prediction import Lanes
 

@@ -13,16 +13,16 @@ from diffdrive.effects.forces import ConstantForce
 from diffdrive.errors import LogError
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive
-from tuning.diagnosis.calibration import NAMES, TOLERANCE
-from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import logged_of
-from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.gap import drive_of
-from tuning.diagnosis.model import Member, Model, counted_in
-from tuning.diagnosis.priors import Parameter
-from tuning.diagnosis.screening import begin
-from tuning.diagnosis.search import standing
-from tuning.diagnosis.setting import setting
+from tuning.diagnosis.fits.fitting import Fitter
+from tuning.diagnosis.gap.gap import drive_of
+from tuning.diagnosis.hypotheses.calibration import NAMES, TOLERANCE
+from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.model import Member, Model, counted_in
+from tuning.diagnosis.hypotheses.priors import Parameter
+from tuning.diagnosis.hypotheses.setting import setting
+from tuning.diagnosis.selection.screening import begin
+from tuning.diagnosis.selection.search import standing
 from tuning.identification.problem import MIN_LANE_SAMPLES
 
 LASTING = 5.0  # s

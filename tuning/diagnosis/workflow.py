@@ -20,16 +20,16 @@ from diffdrive.results import Result, Status
 from diffdrive.support.bounds import require_count, require_number
 from tuning.checked_logs import CheckedLogs, checked
 from tuning.diagnosis.as_json import as_json
-from tuning.diagnosis.calibration import TOLERANCE
 from tuning.diagnosis.cause_words import headlines
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.diagnose import diagnose as diagnose_drive
-from tuning.diagnosis.explain import MOST_EFFECTS
-from tuning.diagnosis.gap import drive_of
-from tuning.diagnosis.held_out import Closed
+from tuning.diagnosis.gap.gap import drive_of
+from tuning.diagnosis.hypotheses.calibration import TOLERANCE
+from tuning.diagnosis.judgement.held_out import Closed
+from tuning.diagnosis.judgement.verdict import UNSURE, Belief
 from tuning.diagnosis.next_experiment import Experiment, next_experiment
-from tuning.diagnosis.stages import Stage, untold
-from tuning.diagnosis.verdict import UNSURE, Belief
+from tuning.diagnosis.selection.explain import MOST_EFFECTS
+from tuning.diagnosis.selection.stages import Stage, untold
 from tuning.identification.scale_noise import unstated_noise
 from tuning.progress import Progress, reporting
 from tuning.store.folder import FolderStore

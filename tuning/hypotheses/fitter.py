@@ -10,11 +10,11 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.differences import by_numbers
-from tuning.diagnosis.fitting import Fitter, Point
-from tuning.diagnosis.following import Slopes
-from tuning.diagnosis.model import Model, Vector
+from tuning.diagnosis.filter.following import Slopes
+from tuning.diagnosis.fits.differences import by_numbers
+from tuning.diagnosis.fits.fitting import Fitter, Point
+from tuning.diagnosis.hypotheses.calibration import NAMES
+from tuning.diagnosis.hypotheses.model import Model, Vector
 
 
 class OneMassFitter(Fitter):

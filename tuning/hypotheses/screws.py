@@ -9,9 +9,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from diffdrive.effects.transmission import Backlash
-from tuning.diagnosis.candidate import Candidate
-from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.screening import Values
+from tuning.diagnosis.fits.fitting import Fitter
+from tuning.diagnosis.hypotheses.candidate import Candidate
+from tuning.diagnosis.selection.screening import Values
 from tuning.hypotheses.table import Entry, Table, by_change
 
 SHARED = {"damping": 0.03, "motor_share": 0.4, "table_friction": 0.5}

@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.candidate import Candidate
-from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.leading import led_on, possible, renamed
-from tuning.diagnosis.leftover import complete, relevant_forces
-from tuning.diagnosis.screening import TRIED, begin, joined
-from tuning.diagnosis.setting import Setting
-from tuning.diagnosis.threads import in_parallel
+from tuning.diagnosis.fits.fitting import Fitted, Fitter
+from tuning.diagnosis.fits.leftover import complete, relevant_forces
+from tuning.diagnosis.fits.threads import in_parallel
+from tuning.diagnosis.hypotheses.calibration import NAMES
+from tuning.diagnosis.hypotheses.candidate import Candidate
+from tuning.diagnosis.hypotheses.setting import Setting
+from tuning.diagnosis.selection.leading import led_on, possible, renamed
+from tuning.diagnosis.selection.screening import TRIED, begin, joined
 from tuning.hypotheses.screws import places, refined
 from tuning.hypotheses.table import Entry, entries, grid, table_of
 

@@ -21,13 +21,20 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp
 
-from tuning.diagnosis.beginnings import looked_for
-from tuning.diagnosis.candidate import Candidate
-from tuning.diagnosis.dependence import SCALES, corner_answers, families
-from tuning.diagnosis.fitting import Fitted, Fitter
-from tuning.diagnosis.model import Vector
-from tuning.diagnosis.screening import DEARNESS, Values, begin, joined, sensitivities, sensitivities_of_one_mass
-from tuning.diagnosis.setting import Setting
+from tuning.diagnosis.fits.fitting import Fitted, Fitter
+from tuning.diagnosis.gap.dependence import SCALES, corner_answers, families
+from tuning.diagnosis.hypotheses.candidate import Candidate
+from tuning.diagnosis.hypotheses.model import Vector
+from tuning.diagnosis.hypotheses.setting import Setting
+from tuning.diagnosis.selection.beginnings import looked_for
+from tuning.diagnosis.selection.screening import (
+    DEARNESS,
+    Values,
+    begin,
+    joined,
+    sensitivities,
+    sensitivities_of_one_mass,
+)
 
 PAST = "past commands"  # functions of these are what a delay or a lag does: beside them neither is worth anything
 

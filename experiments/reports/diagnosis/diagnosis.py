@@ -18,10 +18,10 @@ from experiments.reports.diagnosis.page import Details, print_answers, write_pag
 from experiments.reports.diagnosis.payoff import GainFigures, payoff, summarise_payoff
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs
-from tuning.diagnosis.calibration import TOLERANCE
-from tuning.diagnosis.explain import MOST_EFFECTS
+from tuning.diagnosis.hypotheses.calibration import TOLERANCE
 from tuning.diagnosis.next_experiment import Experiment
-from tuning.diagnosis.stages import Stage
+from tuning.diagnosis.selection.explain import MOST_EFFECTS
+from tuning.diagnosis.selection.stages import Stage
 from tuning.diagnosis.workflow import (
     NOT_SEARCHED,
     DiagnosisResult,

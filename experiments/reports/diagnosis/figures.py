@@ -10,8 +10,8 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from diffdrive.logs import Log
 from experiments.reports.report import Report, new_figure
 from tuning.diagnosis.diagnose import Diagnosis
-from tuning.diagnosis.ladder import Rung
-from tuning.diagnosis.where import SIGNIFICANT
+from tuning.diagnosis.gap.where import SIGNIFICANT
+from tuning.diagnosis.judgement.ladder import Rung
 
 MOST_POINTS = 6000  # of a signal in a figure
 REGIONS, CAUSES = 12, 8

@@ -15,7 +15,7 @@ from experiments.reports.diagnosis.figures import BLANK
 from experiments.reports.readable import heading, readable, shown, unit_of
 from experiments.reports.report import Report
 from tuning.diagnosis.cause_words import headlines, numbers
-from tuning.diagnosis.where import SIGNIFICANT
+from tuning.diagnosis.gap.where import SIGNIFICANT
 
 STYLE = """
 body { font-family: sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #222; line-height: 1.4 }

@@ -27,12 +27,12 @@ from experiments.studies.withheld.draw import draw
 from tests.support.asymmetric_drive import ASYMMETRIC
 from tests.support.perturbed_machine import catalogue
 from tests.support.sound_log import DRIVE, RATE, simulate_log, two_sines
-from tuning.diagnosis.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.diagnose import diagnose, logged_of
-from tuning.diagnosis.explain import explain
-from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.gap import drive_of
-from tuning.diagnosis.search import recalibrated
+from tuning.diagnosis.fits.fitting import Fitter
+from tuning.diagnosis.gap.gap import drive_of
+from tuning.diagnosis.hypotheses.calibration import NAMES, TOLERANCE
+from tuning.diagnosis.selection.explain import explain
+from tuning.diagnosis.selection.search import recalibrated
 from tuning.identification.unknowns import unknowns_of
 
 LOAD = 5_000.0

@@ -19,13 +19,13 @@ from experiments.reports.report import Report
 from tests.support import constant_force_log
 from tests.support.sound_log import DRIVE, axis_of
 from tuning.diagnosis.as_json import as_json
-from tuning.diagnosis.calibration import DELAY, FORCE, NAMES
-from tuning.diagnosis.candidates import candidates
-from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.gap import LoopGap
-from tuning.diagnosis.model import Member, Model
-from tuning.diagnosis.setting import setting
-from tuning.diagnosis.stages import Stage
+from tuning.diagnosis.fits.fitting import Fitter
+from tuning.diagnosis.gap.gap import LoopGap
+from tuning.diagnosis.hypotheses.calibration import DELAY, FORCE, NAMES
+from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.model import Member, Model
+from tuning.diagnosis.hypotheses.setting import setting
+from tuning.diagnosis.selection.stages import Stage
 
 MASS = float(DRIVE.drive.plant.mass) * np.exp(constant_force_log.DEVIATIONS[NAMES.index("mass")])  # kg, the machine's
 

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from experiments.reports.report import Report
-from tuning.diagnosis.threads import in_parallel
+from tuning.diagnosis.fits.threads import in_parallel
 
 
 def test_a_job_without_a_terminal_sees_each_stage_begin_and_end_each_time():

@@ -10,7 +10,7 @@ from diffdrive.errors import ParameterError
 from experiments.cli import main as cli
 from experiments.reports.report import Report
 from experiments.studies import real_axes
-from tuning.diagnosis.verdict import Belief
+from tuning.diagnosis.judgement.verdict import Belief
 
 
 def test_one_term_is_withheld_and_nothing_found_is_no_error(monkeypatch):

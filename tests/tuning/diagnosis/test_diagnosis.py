@@ -21,18 +21,18 @@ from experiments.reports.diagnosis.files import write_reference
 from experiments.reports.report import Report
 from experiments.studies.withheld.score import score
 from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
-from tuning.diagnosis.beginnings import _window
-from tuning.diagnosis.calibration import LOGARITHMS, NAMES, calibrated, tolerated
-from tuning.diagnosis.coverage import shortcomings
 from tuning.diagnosis.diagnose import _credible, _within, diagnose, logged_of
-from tuning.diagnosis.exposure import Course
-from tuning.diagnosis.gap import ForceGap
-from tuning.diagnosis.leftover import STRAINED
-from tuning.diagnosis.lines import lines_in_position, lines_in_time
+from tuning.diagnosis.filter.exposure import Course
+from tuning.diagnosis.fits.leftover import STRAINED
+from tuning.diagnosis.gap.gap import ForceGap
+from tuning.diagnosis.gap.lines import lines_in_position, lines_in_time
+from tuning.diagnosis.gap.where import localise
+from tuning.diagnosis.hypotheses.calibration import LOGARITHMS, NAMES, calibrated, tolerated
+from tuning.diagnosis.hypotheses.coverage import shortcomings
+from tuning.diagnosis.hypotheses.setting import setting
+from tuning.diagnosis.judgement.verdict import Belief, Verdict
 from tuning.diagnosis.next_experiment import next_experiment
-from tuning.diagnosis.setting import setting
-from tuning.diagnosis.verdict import Belief, Verdict
-from tuning.diagnosis.where import localise
+from tuning.diagnosis.selection.beginnings import _window
 from tuning.diagnosis.workflow import augmented_drive
 from tuning.experiment_design.next_motion import candidates
 from tuning.identification.shown_motion import Shortcoming

@@ -20,17 +20,17 @@ from experiments.reports.diagnosis import diagnosis as command
 from experiments.reports.diagnosis.diagnosis import diagnose_logs
 from tests.support.sound_log import COUNT, DRIVE, RATE, SOUND, axis_of, replaced, simulate_log, two_sines, without_rows
 from tuning.diagnosis.as_json import as_json
-from tuning.diagnosis.calibration import NAMES
-from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import diagnose, logged_of
-from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.gap import drive_of, loop_gap
-from tuning.diagnosis.model import Member, Model, effect_in_lanes, exposed
+from tuning.diagnosis.fits.fitting import Fitter
+from tuning.diagnosis.gap.gap import drive_of, loop_gap
+from tuning.diagnosis.hypotheses.calibration import NAMES
+from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.model import Member, Model, effect_in_lanes, exposed
+from tuning.diagnosis.hypotheses.setting import setting
+from tuning.diagnosis.judgement.verdict import _probabilities
 from tuning.diagnosis.next_experiment import Experiment
-from tuning.diagnosis.screening import begin, joined
-from tuning.diagnosis.search import _screened, recalibrated, standing
-from tuning.diagnosis.setting import setting
-from tuning.diagnosis.verdict import _probabilities
+from tuning.diagnosis.selection.screening import begin, joined
+from tuning.diagnosis.selection.search import _screened, recalibrated, standing
 
 
 def candidate_of(logs, name):

@@ -21,22 +21,22 @@ from experiments.studies.withheld.equations import FaultParameters, MachineStruc
 from experiments.studies.withheld.machine import MachineInputs, run
 from experiments.studies.withheld.score import read_key
 from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
-from tuning.diagnosis.calibration import NAMES, TOLERANCE
-from tuning.diagnosis.candidates import candidates
-from tuning.diagnosis.candidates import given as those_given
 from tuning.diagnosis.diagnose import logged_of
-from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.gap import drive_of
-from tuning.diagnosis.intervals import parameters
-from tuning.diagnosis.inverse import force_error
-from tuning.diagnosis.leftover import complete, lacking
-from tuning.diagnosis.model import Member, Model, effect_in_lanes, exposed
+from tuning.diagnosis.filter.segments import segments
+from tuning.diagnosis.fits.fitting import Fitter
+from tuning.diagnosis.fits.intervals import parameters
+from tuning.diagnosis.fits.leftover import complete, lacking
+from tuning.diagnosis.fits.trust import lost_samples
+from tuning.diagnosis.gap.gap import drive_of
+from tuning.diagnosis.gap.inverse import force_error
+from tuning.diagnosis.hypotheses.calibration import NAMES, TOLERANCE
+from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.candidates import given as those_given
+from tuning.diagnosis.hypotheses.model import Member, Model, effect_in_lanes, exposed
+from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.registration import registered
-from tuning.diagnosis.screening import begin, joined
-from tuning.diagnosis.search import recalibrated, standing
-from tuning.diagnosis.segments import segments
-from tuning.diagnosis.setting import setting
-from tuning.diagnosis.trust import lost_samples
+from tuning.diagnosis.selection.screening import begin, joined
+from tuning.diagnosis.selection.search import recalibrated, standing
 from tuning.identification.prediction import initial_velocity
 from tuning.identification.problem import noise_floor
 

@@ -15,12 +15,12 @@ from diffdrive.motion.builders import from_array
 from diffdrive.runtime import configure
 from experiments.studies import laas
 from tests.support.sound_log import simulate_log
-from tuning.diagnosis.candidate import Candidate
-from tuning.diagnosis.candidates import _cogging, _strong_cogging
 from tuning.diagnosis.diagnose import diagnose
-from tuning.diagnosis.priors import Parameter
-from tuning.diagnosis.screening import Screened
-from tuning.diagnosis.search import _likeliest, _promising
+from tuning.diagnosis.hypotheses.candidate import Candidate
+from tuning.diagnosis.hypotheses.candidates import _cogging, _strong_cogging
+from tuning.diagnosis.hypotheses.priors import Parameter
+from tuning.diagnosis.selection.screening import Screened
+from tuning.diagnosis.selection.search import _likeliest, _promising
 
 configure()
 

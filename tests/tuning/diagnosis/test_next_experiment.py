@@ -15,16 +15,16 @@ from diffdrive.motion.text import parse_motion
 from tests.support.fake_fits import fake_fit
 from tests.support.sound_log import DRIVE, RATE, simulate_log, two_sines
 from tuning.diagnosis import next_experiment as module
-from tuning.diagnosis.calibration import TOLERANCE
-from tuning.diagnosis.candidates import candidates as hypotheses
 from tuning.diagnosis.diagnose import logged_of
-from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.model import Model
+from tuning.diagnosis.fits.fitting import Fitter
+from tuning.diagnosis.gap.where import Region
+from tuning.diagnosis.hypotheses.calibration import TOLERANCE
+from tuning.diagnosis.hypotheses.candidates import candidates as hypotheses
+from tuning.diagnosis.hypotheses.model import Model
+from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.next_experiment import next_experiment
-from tuning.diagnosis.screening import joined
-from tuning.diagnosis.search import recalibrated
-from tuning.diagnosis.setting import setting
-from tuning.diagnosis.where import Region
+from tuning.diagnosis.selection.screening import joined
+from tuning.diagnosis.selection.search import recalibrated
 from tuning.experiment_design.next_motion import available_limits, candidates
 
 TIME = np.arange(6_000) / RATE

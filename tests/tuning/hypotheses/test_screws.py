@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tuning.diagnosis.candidates import candidates
-from tuning.diagnosis.setting import Setting
+from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.setting import Setting
 from tuning.hypotheses import screws
 from tuning.hypotheses.table import Entry
 

@@ -8,8 +8,8 @@ import pytest
 from diffdrive.effects.forces import Cogging
 from tests.support.perturbed_machine import catalogue, recalibrated_of
 from tests.support.sound_log import RATE
-from tuning.diagnosis.leftover import complete
-from tuning.diagnosis.setting import setting
+from tuning.diagnosis.fits.leftover import complete
+from tuning.diagnosis.hypotheses.setting import setting
 from tuning.hypotheses.search import DETAIL, NEEDED, Judged, _first_of_each, _near, _needed, search
 from tuning.hypotheses.table import Entry
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from tuning.diagnosis.dependence import SCALES
+from tuning.diagnosis.gap.dependence import SCALES
 from tuning.hypotheses.table import Table
 
 M, K, F, D = 40, 3, 4, 2

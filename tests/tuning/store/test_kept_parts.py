@@ -19,13 +19,13 @@ from experiments.reports.sweep import sweep
 from experiments.studies import real_axes
 from tests.support import constant_force_log
 from tests.support.sound_log import DRIVE
-from tuning.diagnosis.calibration import TOLERANCE
-from tuning.diagnosis.candidates import candidates
 from tuning.diagnosis.diagnose import logged_of
-from tuning.diagnosis.fitting import Fitter
-from tuning.diagnosis.priors import ITSELF, LOG_ODDS, LOGARITHM, Parameter
-from tuning.diagnosis.search import look, recalibrated
-from tuning.diagnosis.setting import setting
+from tuning.diagnosis.fits.fitting import Fitter
+from tuning.diagnosis.hypotheses.calibration import TOLERANCE
+from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.priors import ITSELF, LOG_ODDS, LOGARITHM, Parameter
+from tuning.diagnosis.hypotheses.setting import setting
+from tuning.diagnosis.selection.search import look, recalibrated
 from tuning.gains.checkpoint import CHECKPOINT
 from tuning.gains.objective import AGGREGATIONS
 from tuning.identification.row_force import BetweenRows

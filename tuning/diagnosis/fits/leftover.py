@@ -1,0 +1,149 @@
+"""What a fit leaves unexplained, and how far it had to move the drive file's numbers."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from diffdrive.effects.friction import PreslidingHysteresis
+from diffdrive.model.friction import coulomb
+from tuning.diagnosis.filter.following import LASTING
+from tuning.diagnosis.fits.fitting import MOST, Fitted, Fitter
+from tuning.diagnosis.fits.trust import least_trusted, lost_samples, lost_share
+from tuning.diagnosis.hypotheses.calibration import DELAY, FORCE, NAMES
+
+LACKING = 30.0  # of cost
+LEFT = 0.02  # of what was missing: what the details of a model of the right kind may leave
+COARSE = 0.05  # the same for effects whose details differ from machine to machine
+MOSTLY = 0.5  # of what is missing
+BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
+BLIND = 0.05  # of the samples: where the filter is lost at more of them, its cost counts nothing but blows
+FEW_LOST = 3  # samples, at which a filter may be lost without anything missing
+WORTH = 12.0  # in evidence, that an effect must bring
+STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
+IMPOSSIBLE = 6.0  # of the same: what no machine of this drive file has, and is explained before anything else
+SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
+RELEVANT = 3e-4  # of the friction
+UNTOLD = 14  # sudden forces that are tried where no row tells of them
+# what a table that slides tells: effects before sliding take over what the others mean
+_SLIDING = ("mass", "coulomb_screw", "load_coefficient", "viscous")
+SLIDING = tuple(name for name in NAMES if name.split(".")[0] in _SLIDING)
+
+
+def relevant_forces(fitter: Fitter, fitted: Fitted) -> Float[np.ndarray, " 2"]:
+    """Process forces (N) that are allowed to any model: lasting, and sudden ones that come to as much over as long."""
+    relevant = RELEVANT * float(coulomb(fitted.own.friction, 1.0, 0.0))
+    return relevant * np.array([1.0, np.sqrt(max(LASTING * fitter.logged.sampling.rate, 1.0))])
+
+
+def lacking(fitter: Fitter, fitted: Fitted) -> float:
+    """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing.
+
+    A force of `RELEVANT` of the friction is allowed, and a sudden one that comes to as much over as long: the
+    simulator's own steps make as much. Between snapshots of a command any sudden force is allowed: no row tells of the
+    commands between. The effects are stepped along the same course in both: where one remembers when the table stood
+    still, that makes a difference of its own.
+    """
+    least = np.minimum(fitted.process, relevant_forces(fitter, fitted))
+    if fitter.logged.loop_samples > 1:
+        there = fitter.at(fitted.model, fitted.u, fitted.process, fitted.track.course)
+        sudden = np.append(np.geomspace(fitter.least, MOST, UNTOLD), fitted.process[1])
+        any_sudden = np.stack([np.full(len(sudden), least[0]), sudden], axis=1)
+        least = fitter.with_process(there, fitted.model, any_sudden).process
+    none, some = (fitter.at(fitted.model, fitted.u, one, fitted.track.course).cost for one in (least, fitted.process))
+    return none - some if np.isfinite(none) and np.isfinite(some) else np.inf
+
+
+def missing(fitter: Fitter, fitted: Fitted) -> float:
+    """What a fit leaves unexplained, of cost."""
+    return max(lacking(fitter, fitted), 0.0) + BLOWS * max(lost_samples(fitted) - FEW_LOST, 0)
+
+
+def complete(fitter: Fitter, fitted: Fitted) -> bool:
+    """Whether a fit explains the logs to the noise."""
+    return lost_samples(fitted) <= FEW_LOST and lacking(fitter, fitted) <= LACKING
+
+
+def blind(fitter: Fitter, base: Fitted) -> bool:
+    """Whether a filter that trusts the recalibrated drive is lost all along, so that its cost says little."""
+    return lost_share(fitter, base, least_trusted(fitter)) > BLIND
+
+
+def power_left(base: Fitted, fitted: Fitted) -> float:
+    """Share of the missing force's mean square that is left; between snapshots, of that which lasts."""
+    last = 1 if fitted.model.logged.loop_samples > 1 else 2
+    return float(np.sum(fitted.process[:last] ** 2) / np.sum(base.process[:last] ** 2))
+
+
+def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
+    """Share of what the recalibrated drive is missing that a fit leaves.
+
+    The details of a coarse effect differ from machine to machine: they leave little force, plain as it may be to see.
+    Where the filter was lost in blows, it is those that count; where it was lost all along, how much force it had to
+    invent. A filter that runs away explains nothing.
+    """
+    before, after = max(missing(fitter, base), 1.0), missing(fitter, fitted)
+    if not np.isfinite(after):
+        return 1.0
+    share = after / before if np.isfinite(before) else power_left(base, fitted)
+    if fitted.model.coarse or blind(fitter, base):
+        share = min(share, power_left(base, fitted))
+    if fitted.model.coarse and BLOWS * lost_samples(base) > MOSTLY * before:
+        share = min(share, lost_samples(fitted) / lost_samples(base))
+    return float(np.clip(share, 0.0, 1.0))
+
+
+def meant(*fits: Fitted) -> Sequence[str]:
+    """The nominal parameters that mean what the drive file says in all of the fits: elements before sliding take over
+    the others.
+    """
+    there = {member.candidate.name for one in fits for member in one.model.members}
+    return SLIDING if PreslidingHysteresis.name in there else NAMES
+
+
+def relieves(one: Fitted, other: Fitted, most: float = STRAINED) -> bool:
+    """Whether one fit leaves no nominal parameter moved beyond `most` where another does, of those that mean the same
+    in both.
+    """
+    among = meant(one, other)
+    return strain(other, among) >= most > strain(one, among)
+
+
+def credible(fitted: Fitted) -> bool:
+    """Whether a cause may be believed beside the numbers of a fit; how the bristle bends may be far off."""
+    return strain(fitted, SLIDING) <= IMPOSSIBLE
+
+
+def disbelieved(one: Fitted, other: Fitted) -> bool:
+    """Whether one fit rests on numbers that cannot be, where the other does without."""
+    return relieves(other, one, IMPOSSIBLE) or (credible(other) and not credible(one))
+
+
+def strain(fitted: Fitted, among: Sequence[str] | None = None) -> float:
+    """By how many standard deviations of the prior the furthest nominal parameter was moved, of those that are `meant`
+    or of others.
+    """
+    return float(np.abs(_moved(fitted, among or meant(fitted))).max())
+
+
+def furthest(fitted: Fitted, among: Sequence[str] | None = None) -> str:
+    """In words: which nominal parameter was moved furthest."""
+    among = among or meant(fitted)
+    moved = _moved(fitted, among)
+    k = int(np.abs(moved).argmax())
+    by = _moves(fitted, among)[0][k]
+    added = {FORCE: f"{by:+.3g} N", DELAY: f"{by:+.2g} rows"}
+    much = added.get(among[k], f"{100.0 * np.expm1(by):+.1f} %")
+    return f"{among[k]} had to be moved by {much}, {abs(moved[k]):.1f} times its tolerance"
+
+
+def _moved(fitted: Fitted, among: Sequence[str]) -> Float[np.ndarray, " k"]:
+    """In standard deviations; what cannot move has none."""
+    moves, deviations = _moves(fitted, among)
+    return np.divide(moves, deviations, out=np.zeros_like(moves), where=deviations > 0.0)
+
+
+def _moves(fitted: Fitted, among: Sequence[str]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """How far the nominal parameters were moved, and their standard deviations before any log."""
+    prior, which = fitted.model.prior, [NAMES.index(name) for name in among]
+    return (prior @ fitted.u[: len(NAMES)])[which], np.sqrt(np.sum(prior**2, axis=1))[which]

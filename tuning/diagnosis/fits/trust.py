@@ -1,0 +1,61 @@
+"""How far the filter that compares models trusts each of them, and whether it is lost with that.
+
+A lost filter begins again from the measurement, time after time, and sees no force.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from tuning.diagnosis.filter.following import LOST, Track
+from tuning.diagnosis.fits.fitting import Fitted, Fitter
+from tuning.diagnosis.hypotheses.setting import setting
+
+Forces = Float[np.ndarray, " 2"]  # N, as in `Process`
+
+TRUSTED = 0.02  # of the Coulomb friction: the force that the comparing filter takes every model to lack
+MORE = (1.0, 10.0, 100.0, 1000.0)  # times that, where the filter is lost with less
+SELDOM = 0.01  # of the samples, at which it may be lost
+
+
+def lost_samples(fitted: Fitted) -> int:
+    """At how many samples the filter was lost."""
+    return _lost(fitted.track, np.asarray(fitted.model.logged.lanes.counts))
+
+
+def _lost(track: Track, counts: Float[np.ndarray, "lanes n"]) -> int:
+    ratio = np.abs(np.asarray(track.innovation) / np.asarray(track.scatter))
+    return int(np.sum(~(ratio <= LOST) & (counts > 0.0)))  # one that ran away is
+
+
+def share_lost(track: Track, counts: Float[np.ndarray, "lanes n"]) -> float:
+    """At what share of the samples that count the filter was lost."""
+    return _lost(track, counts) / max(float(np.sum(counts)), 1.0)
+
+
+def lost_share(fitter: Fitter, fitted: Fitted, process: Forces) -> float:
+    """At what share of the samples it is lost with these process forces (N)."""
+    track = fitter.at(fitted.model, fitted.u, process, fitted.track.course).track
+    return share_lost(track, np.asarray(fitter.logged.lanes.counts))
+
+
+def least_trusted(fitter: Fitter) -> Forces:
+    """The process forces (N) of a filter that trusts every model to a small share of the friction."""
+    logged = fitter.logged
+    return np.array([TRUSTED * setting(logged.drive, logged.lanes, logged.sampling.period).friction, fitter.least])
+
+
+def least_following(fitter: Fitter, fitted: Fitted) -> Forces | None:
+    """The least process forces (N) with which the filter follows a model; None where none helps (blows).
+
+    Sudden ones too behind a screw: a blow that is a little early or late is made up for at once.
+    """
+    lasting, sudden = least_trusted(fitter)
+    tried = [np.array([more * lasting, own]) for more in MORE for own in (sudden, more * lasting)]
+    tried = tried if fitted.model.screw else tried[::2]
+    return next((one for one in tried if lost_share(fitter, fitted, one) <= SELDOM), None)
+
+
+def comparing(fitter: Fitter, base: Fitted) -> Forces:
+    """The process forces (N) of the filter that compares models: those with which it follows `base`, or the least."""
+    found = least_following(fitter, base)
+    return least_trusted(fitter) if found is None else found

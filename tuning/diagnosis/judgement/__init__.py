@@ -1,0 +1,1 @@
+"""What is made of an explanation: by held-out data, by the command, by single events; the verdict."""

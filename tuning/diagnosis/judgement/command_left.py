@@ -1,0 +1,102 @@
+"""Whether what a fit leaves follows the command: residual analysis (Ljung 1999, System Identification, section 16.6).
+
+The filter may invent forces, lasting and sudden ones, but none that follows the command, time and again. A model whose
+actuator answers as late as the machine's and yet differently, by a delay in the place of a lag, leaves innovations that
+go with the commands of the samples before them, little as each is off.
+"""
+
+from typing import cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.effects.actuator import LoopDelay
+from diffdrive.effects.base import ActuatorEffect
+from diffdrive.model.actuator import saturate
+from diffdrive.model.current_loop import mean_forces
+from tuning.diagnosis.filter.exposure import Exposure
+from tuning.diagnosis.fits.curvature import solved
+from tuning.diagnosis.fits.fitting import Fitted, answered
+from tuning.diagnosis.gap.gap import sliding
+from tuning.diagnosis.hypotheses.model import delay_of
+from tuning.diagnosis.judgement.verdict import Verdict
+from tuning.diagnosis.selection.explain import Explanation
+
+TAPS = 5  # samples, the first of them one sooner than the delay that was found, if that is one or more
+SHARE = 0.1  # of the command that each sample may add, one standard deviation
+QUICK = 20.0  # scatters of the measurement a sample: a slower table's counts are no noise, and the command follows them
+PIECE = 0.25  # s
+SINGLE = 12.0  # of cost, that such a piece counts at most, for or against: one event that goes wrong tells nothing
+FOLLOWING = 30.0  # of -2 log likelihood, that the last commands explain beside what was found, and
+FOLLOWS = 0.003  # of what was gained, or of what an effect between command and force gained: more is structure
+CLOCKS = 1000.0  # of -2 log likelihood: more than clocks make that are a microsecond apart
+
+
+def follows_command(fitted: Fitted) -> float:
+    """By how much (-2 log likelihood) a force that is a sum of the last commands, added to a fit without effects within
+    its filter, would explain the logs better, to first order and all that is free moved to make way.
+
+    Where the table is slow, the counts of its scale are no noise, and the command follows them: it tells nothing, nor
+    where it hardly slides, and its friction may be anything.
+    """
+    logged, velocity = fitted.model.logged, np.asarray(fitted.track.course.velocity)
+    quick = np.abs(velocity) * logged.sampling.period >= QUICK * float(logged.noise)
+    telling = (quick & (sliding(velocity, logged.sampling.rate) > 0.0)).reshape(-1, 1)
+    answers = np.asarray(_answers(fitted)).reshape(fitted.residual.size, -1)
+    answers = np.where(telling & (fitted.residual[:, None] != 0.0), answers, 0.0)
+    left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
+    cross = fitted.jacobian.T @ answers
+    making_way = solved(fitted.hessian, cross)
+    bent = answers.T @ answers - cross.T @ making_way + np.eye(TAPS) / SHARE**2
+    amounts = -solved(bent, answers.T @ fitted.residual - cross.T @ left)
+    residual = fitted.residual - fitted.jacobian @ left
+    added = answers @ amounts - fitted.jacobian @ (making_way @ amounts)
+    gained = (-added * (2.0 * residual + added)).reshape(velocity.shape)
+    pieces = np.add.reduceat(gained, np.arange(0, gained.shape[1], max(1, round(PIECE * logged.sampling.rate))), axis=1)
+    return float(np.sum(np.clip(pieces, -SINGLE, SINGLE)))
+
+
+def doubted_by_command(verdict: Verdict, found: Explanation) -> Verdict:
+    """No sure cause that leaves what follows the command, and among them an effect between command and force.
+
+    Without such an effect much has to: half a microsecond between the clocks of scale and command is seen this way (150
+    of -2 log likelihood), and makes no tilt less of a tilt. Effects whose details differ may leave that, and behind
+    those within the filter it cannot be told.
+    """
+    best = found.best
+    if verdict.verdict != "effect" or best.model.coarse or best.model.coupled:
+        return verdict
+    rounds = found.rounds[: best.model.added]
+    acting = [one for one in rounds if issubclass(one.fits[0].model.members[-1].candidate.effect, ActuatorEffect)]
+    gains = [one.before.cost - one.fits[0].cost for one in acting] or [found.base.cost - best.cost]
+    if not follows_command(best) > max(FOLLOWING if acting else CLOCKS, FOLLOWS * min(gains)):
+        return verdict
+    return verdict.doubted(
+        "what is left follows the command: the actuator, or what lies between it and the table, answers otherwise"
+    )
+
+
+def _answers(fitted: Fitted) -> Float[Array, "lanes n taps"]:
+    """Of the residuals, to each of the last commands added to the force."""
+    logged = fitted.model.logged
+    force = _last_commands(fitted)
+    none = jnp.zeros_like(force)
+    still = jnp.zeros((fitted.linear.machine.shape[-1], TAPS))
+    pushed = Exposure(force, none, none, none, none, none, none)
+    found = answered(fitted.track, fitted.linear, still, pushed, logged.lanes.counts, logged.sampling.period)
+    return found / jnp.sqrt(fitted.track.size)
+
+
+def _last_commands(fitted: Fitted) -> Float[Array, "lanes n taps"]:
+    """From one sample sooner than the delay that the model has, if that is one or more, to older ones."""
+    logged = fitted.model.logged
+    delays = [effect.delay for effect in fitted.model.effects(fitted.u) if isinstance(effect, LoopDelay)]
+    late = float(delay_of(logged, fitted.own)) + sum(float(np.max(one)) for one in delays)
+    actuator, period = logged.drive.actuator, logged.sampling.period
+    limited = cast(Array, saturate(actuator, logged.lanes.command))  # of an array, it is one
+    command = jax.vmap(lambda requests: mean_forces(actuator, requests, period))(limited)
+    held_back = [max(0, int(late) - 1) + k for k in range(TAPS)]
+    count = command.shape[1]
+    return jnp.stack([jnp.pad(command, ((0, 0), (k, 0)), mode="edge")[:, :count] for k in held_back], axis=-1)

@@ -1,0 +1,72 @@
+"""Whether something happens, once and briefly, in logs that lack nothing else.
+
+What lasts for milliseconds only, such as a force limit that few samples reach, is lost in the likelihood of tens of
+thousands of others. So the squares of the innovations are added up over a moment, and the largest sum is held against
+what chance makes of so many.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import chi2
+
+from tuning.diagnosis.filter.following import LOST
+from tuning.diagnosis.fits.fitting import Fitted
+from tuning.diagnosis.judgement.verdict import Verdict
+
+MOMENT, SHORTEST = 5e-3, 3  # s, and samples at least
+SETTLED = 3  # samples after one at which the filter was lost
+CHANCE = -6.0  # decades: sound machines come to -2 at the least, a limit that a dozen samples reach to -18
+
+
+class Event(NamedTuple):
+    """The moment at which a machine moves least as foreseen."""
+
+    lane: int
+    begins: int  # sample
+    samples: int
+    decades: float  # of the chance that noise makes as much anywhere
+
+
+def least_foreseen(fitted: Fitted) -> Event:
+    """That moment of the logs.
+
+    Where the filter is lost it begins again: one count that went astray is no event, nor what follows of it. A table
+    that rests shows no noise: that makes what moves no less noisy than was expected.
+    """
+    logged, track = fitted.model.logged, fitted.track
+    unit = np.asarray(track.scatter) * np.sqrt(max(float(track.size), 1.0))
+    off = np.abs(np.asarray(track.innovation) / unit)
+    astray = ~(off <= LOST)
+    for _ in range(SETTLED):
+        astray[:, 1:] |= astray[:, :-1]
+    counted = np.where(astray, 0.0, np.asarray(logged.lanes.counts))
+    wide = min(max(SHORTEST, round(MOMENT * logged.sampling.rate)), off.shape[1])
+    sums, freedom = (_summed(one, wide) for one in (np.where(astray, 0.0, off) ** 2 * counted, counted))
+    logs = np.where(freedom > 0.0, chi2.logsf(sums, np.maximum(freedom, 1.0)), 0.0)
+    lane, begins = np.unravel_index(int(logs.argmin()), logs.shape)
+    decades = (logs[lane, begins] + np.log(max(int(np.count_nonzero(freedom)), 1))) / np.log(10.0)
+    return Event(int(lane), int(begins), wide, float(min(decades, 0.0)))
+
+
+def _summed(each: Float[np.ndarray, "lanes n"], wide: int) -> Float[np.ndarray, "lanes m"]:
+    """Over every so many samples."""
+    return np.lib.stride_tricks.sliding_window_view(each, wide, axis=1).sum(axis=2)
+
+
+def doubted_by_event(verdict: Verdict, fitted: Fitted) -> Verdict:
+    """`unknown` in the place of `none` where something happens that the drive does not foresee."""
+    if verdict.verdict != "none":
+        return verdict
+    event = least_foreseen(fitted)
+    if event.decades > CHANCE:
+        return verdict
+    logged = fitted.model.logged
+    at = float(logged.starts[event.lane]) + event.begins * logged.sampling.period
+    says = (
+        f"the recalibrated drive explains the logs to the noise but for a moment: about {at:.3f} s into log "
+        f"{logged.owner[event.lane] + 1} the table moves as neither it nor any effect that was looked for predicts "
+        f"(noise does so once in 1e{-event.decades:.0f} logs)"
+    )
+    return verdict.doubted(says)._replace(says=says)

@@ -1,0 +1,156 @@
+"""What the held-out logs say of a verdict: an effect that does not prove itself there is withdrawn or not believed."""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+
+from tuning.diagnosis.fits.leftover import IMPOSSIBLE, WORTH, credible, relieves
+from tuning.diagnosis.judgement.ladder import Rung, known_floor
+from tuning.diagnosis.judgement.verdict import Verdict
+from tuning.diagnosis.selection.explain import Explanation
+
+DENIED = 0.05  # of the evidence gained, that the held-out logs may lose
+SURELY = 2.0  # standard deviations of what the held-out logs lose, by which it must stand out
+HIDDEN = 1.05  # times the floor: a gap below is none, and no share of it means anything
+PLAIN = 2.0  # times the floor's mean square: a gap, be it in a single place, which draws of pieces may miss
+PROVED = 0.5  # of the gap beyond the floor, that must be gone
+DETAILS = 2.5  # times its floor: more than what the details of a coarse effect leave
+SEEN = 2.0  # times its floor: the gap in closed loop that tells something, and a floor that tells nothing
+
+
+class Closed(NamedTuple):
+    """Share of what recalibration left beyond the floor that is gone, with its 95 % interval."""
+
+    share: float
+    low: float
+    high: float
+
+
+def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
+    """From one rung to another, in mean squares; None where the first leaves nothing beyond the floor to be closed, or
+    as well may leave nothing, and the interval excludes nothing.
+
+    Unless the other opens a gap there. A filter that ran away closes nothing, nor does one that is lost; where only the
+    first is, it cannot be told how much there was to close.
+    """
+    alike = np.array_equal(before.trusting, after.trusting)  # else each has the floor of its own filter
+    floors = np.array([after.floor if alike else before.floor, after.floor])
+    squares = [np.r_[one.force.rms**2, one.force.drawn(rate)] for one in (before, after)]
+    if not np.all(np.isfinite([*floors, *squares[0], *squares[1]])) or not after.force.told:
+        return Closed(0.0, 0.0, 0.0)
+    if not before.force.told:
+        return None
+    least = (HIDDEN**2 - 1.0) * floors[0] ** 2
+    hidden = [one[0] < (HIDDEN * floor) ** 2 for one, floor in zip(squares, floors, strict=True)]
+    surely = np.percentile(squares[1][1:] - squares[0][1:], 2.5) > 0.0
+    opened = surely or squares[1][0] > PLAIN * floors[1] ** 2
+    if hidden[0] and (hidden[1] or not opened):
+        return None
+    beyond = [np.maximum(squares[0] - floors[0] ** 2, least), np.maximum(squares[1] - floors[1] ** 2, 0.0)]
+    shares = 1.0 - beyond[1] / beyond[0]
+    low, high = np.percentile(shares[1:], [2.5, 97.5])
+    perhaps = np.percentile(squares[0][1:], 2.5) < (HIDDEN * floors[0]) ** 2  # there was nothing to be closed
+    if perhaps and low <= 0.0 and high >= 1.0 and squares[1][0] <= squares[0][0]:
+        return None
+    return Closed(float(shares[0]), float(low), float(high))
+
+
+def closing(found: Explanation, rungs: list[Rung], rate: float) -> list[float | None]:
+    """Of each effect found, the share that it surely takes of what the rung before it leaves beyond the floor, at the
+    low end of its interval; none where what was found cannot be, or foresees what is held out worse than nothing.
+    """
+    gained = found.base.evidence - found.best.evidence
+    if len(rungs) <= 2 or not credible(found.best) or denied(rungs[-1], rungs[1], gained):
+        return []
+    steps = [closed(before, after, rate) for before, after in itertools.pairwise(rungs[1:])]
+    return [None if one is None else one.low for one in steps]
+
+
+def left_in_loop(rungs: list[Rung]) -> float | None:
+    """Share of the recalibrated drive's gap in closed loop that the last rung leaves; None where the loop cannot tell.
+
+    Beside another effect that closes the gap, one whose details differ must have closed most of what it found there.
+    """
+    if len(rungs) <= 2:
+        return None
+    share = _left(rungs[1], rungs[-1])
+    if share is None or share >= PROVED:
+        return share
+    steps = [
+        _left(before, after)
+        for before, after in itertools.pairwise(rungs[1:])
+        if after.fitted.model.members[-1].candidate.coarse
+    ]
+    return share if all(one is not None and one < PROVED for one in steps) else None
+
+
+def _left(before: Rung, after: Rung) -> float | None:
+    """Share of the gap in closed loop, in mean squares, that one rung leaves of another's, of position or command the
+    larger; None where there is hardly any, or where it is not known.
+
+    Either is measured against the lesser floor: a simulation that hunts differs from itself as much as from the log.
+    """
+    if before.loop is None or after.loop is None or before.loop.says:
+        return None
+    if after.loop.says:
+        return 1.0
+    shares = []
+    for name in ("position", "command"):
+        (rms, floor), (then, there) = (
+            (getattr(one.loop, f"{name}_rms"), getattr(one.loop, f"{name}_floor")) for one in (before, after)
+        )
+        if rms > SEEN * floor and there <= SEEN * floor:
+            none = PLAIN * min(floor, there) ** 2
+            shares.append(float(np.clip((then**2 - none) / (rms**2 - none), 0.0, 1.0)))
+    return max(shares, default=None)
+
+
+def upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Rung]]:
+    """Without the further effects that foresee the held-out logs worse than fewer effects do."""
+    for number in range(1, found.best.model.added):
+        without, more = rungs[number + 1], rungs[number + 2]
+        gained = found.rounds[number].before.evidence - found.rounds[number].fits[0].evidence
+        if denied(more, without, gained):
+            believed, withdrawn = found.rounds[:number], found.rounds[number:]
+            rounds = [*believed, *(one._replace(enough=np.inf) for one in withdrawn)]
+            fewer = found.rounds[number].before  # against which what another way found with more effects is no rival
+            return found._replace(rounds=rounds, best=fewer, other=None), rungs[: number + 2]
+    return found, rungs
+
+
+def denied(more: Rung, fewer: Rung, gained: float) -> bool:
+    """Whether the held-out logs are foreseen worse with more effects: by more than chance, and than a little.
+
+    Numbers that no machine of this drive file can have may foresee a little better: they deny nothing. A filter that
+    ran away foresees nothing.
+    """
+    if not np.all(np.isfinite(more.unlikely)):
+        return True
+    if not np.all(np.isfinite(fewer.unlikely)):
+        return False
+    if relieves(more.fitted, fewer.fitted, IMPOSSIBLE):
+        return False
+    worse = more.unlikely - fewer.unlikely
+    return bool(worse.sum() > max(WORTH, DENIED * gained, SURELY * np.sqrt(worse.size) * np.std(worse)))
+
+
+def confirmed(verdict: Verdict, rungs: list[Rung], share: Closed | None) -> Verdict:
+    """No sure cause that foresees the held-out logs worse than the recalibrated drive, leaves most of their gap, or is
+    one that may leave details and leaves plainly more than noise makes.
+    """
+    gained = sum(one.gain for one in verdict.beliefs if one.found)
+    names = " and ".join(one.effect for one in verdict.beliefs if one.found)
+    if not names:
+        return verdict
+    if denied(rungs[-1], rungs[1], gained):
+        return verdict.doubted("the held-out data are predicted worse than without")
+    if share is not None and (share.share < PROVED or share.low <= 0.0):
+        gone = f"{100 * share.share:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f})"
+        return verdict.doubted(f"in the held-out data only {gone} of the missing force is gone")
+    last = rungs[-1]
+    floor = known_floor(rungs, last) if last.fitted.model.coarse and last.force.told else None
+    if floor is not None and last.force.rms > DETAILS * floor:
+        times = last.force.rms / floor
+        return verdict.doubted(f"the force still missing in the held-out data is {times:.1f} times its floor")
+    return verdict

@@ -1,0 +1,158 @@
+"""How far the gap shrinks once an effect is added, on logs that were not fitted.
+
+The machine's parameters are fitted on some of the logs and carried over; those of the session (phases, times) are
+registered anew on the others. Which samples those are, `splitting` says.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from diffdrive.controllers import Controller
+from diffdrive.logs import Log
+from tuning.diagnosis.filter.following import LOST, Track
+from tuning.diagnosis.fits.fitting import NEAR, Fitted, Fitter
+from tuning.diagnosis.fits.threads import in_parallel
+from tuning.diagnosis.fits.trust import Forces, comparing, least_following
+from tuning.diagnosis.gap.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap, uncoupled
+from tuning.diagnosis.gap.splitting import Split, of_session, split, told
+from tuning.diagnosis.hypotheses.calibration import NAMES
+from tuning.diagnosis.selection.explain import Explanation
+
+PIECE = 0.25  # s, over which two models are compared on what is held out
+CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
+
+
+class Rung(NamedTuple):
+    """One model on the logs that were held out."""
+
+    name: str
+    fitted: Fitted
+    force: ForceGap
+    interval: tuple[float, float]  # N
+    floor: float  # N: what the measuring noise alone would make of a model that lacks nothing
+    shrink: tuple[float, float, float]  # of the mean square of the force against the first rung: value, interval
+    loop: LoopGap | None
+    unlikely: Float[np.ndarray, " pieces"]  # -2 log probability of each piece of what is held out, as `deviance`
+    trusting: Forces  # N: process forces of the filter that tells the missing force
+
+    @property
+    def deviance(self) -> float:
+        """-2 log probability of what is held out, up to a constant shared by the rungs."""
+        return float(np.sum(self.unlikely))
+
+
+def known_floor(rungs: list[Rung], rung: Rung) -> float | None:
+    """N: the floor of one of the rungs; None where it cannot be told. With effects within the filter it may be the
+    recalibrated drive's.
+    """
+    filtered = rungs[1] if rung.fitted.model.coupled else rung
+    return rung.floor if filtered.force.told and np.isfinite(rung.floor) else None
+
+
+def _counting(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
+    lanes = fitter.logged.lanes._replace(counts=np.asarray(counts))  # type: ignore[arg-type]  # jit takes numpy's too
+    twist = fitter.twist and fitter.twist._replace(counts=fitter.twist.counts * (np.asarray(counts) > 0))
+    return Fitter(fitter.logged._replace(lanes=lanes), twist, fitter.store)
+
+
+def _at_control(fitter: Fitter, counts: Float[np.ndarray, "lanes n"], log: int) -> Float[np.ndarray, "pieces n"]:
+    """The weights of one log's pieces, at every control period."""
+    mine = [lane for lane, owner in enumerate(fitter.logged.owner) if owner == log]
+    return np.repeat(counts[mine], fitter.logged.thinning, axis=1)
+
+
+def _unlikely(track: Track, counts: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.ndarray, " pieces"]:
+    """The track's deviance, less the number of samples, in pieces of time."""
+    size, scatter = float(track.size), np.asarray(track.scatter)
+    squares = np.minimum((np.asarray(track.innovation) / scatter) ** 2, LOST**2)
+    each = counts * (squares / size - 1.0 + np.log(size) + 2.0 * np.log(scatter))
+    begins = np.arange(0, counts.shape[1], max(1, round(PIECE * rate)))
+    return np.add.reduceat(each, begins, axis=1)[np.add.reduceat(counts, begins, axis=1) > 0]
+
+
+def _told_by(fitter: Fitter, one: Fitted, process: Forces) -> tuple[ForceGap, Forces]:
+    """The force that a model lacks, and the filter that tells it: the one that follows the recalibrated drive, or where
+    it is lost with this model or has to follow a screw that was found, one of its own that may invent less that lasts.
+
+    A worn screw needs a force of hundreds of newtons invented where no gap is known; in a filter that may invent so
+    much, nothing keeps the motor in its gap, and what the screw explains drowns in the noise.
+    """
+    gap = force_gap(fitter, one, one.model, one.u, process)
+    own = least_following(fitter, one) if one.model.screw_found or not gap.told else None
+    if own is None or (gap.told and own[0] >= process[0]):
+        return gap, process
+    return force_gap(fitter, one, one.model, one.u, own), own
+
+
+def climb(
+    fitter: Fitter, found: Explanation, logs: list[Log], controller: Controller | None
+) -> tuple[list[Rung], Split]:
+    """Nominal, recalibrated, with one effect, with the next; simulated in closed loop where a controller is given and a
+    log that is judged by has a reference.
+    """
+    parts = split(fitter, found.best)
+    train, there, test = (_counting(fitter, each) for each in (parts.train, parts.register, parts.test))
+    base = found.base
+    chain = [("recalibrated", base)]
+    for number in range(found.best.model.added):
+        one = found.rounds[number].fits[0]
+        chain.append((f"+ {one.model.members[-1].candidate.name}", one))
+    believed = dataclasses.replace(base.model, logged=test.logged)
+    still = test.fit(believed, np.zeros(base.model.size), base.process, base.track.course, 0)
+
+    def judged_by(one: Fitted) -> Fitted:
+        model = dataclasses.replace(one.model, logged=train.logged)
+        # what is of the session that is held out stays, to be registered from there: without data it would drift away
+        away = [log in parts.whole for _, _, log in model.slots]
+        unknown = np.r_[[False] * len(NAMES), away] if parts.whole else of_session(model) & ~told(one, parts.train > 0)
+        trained = train.fit(model, one.u, one.process, one.track.course, CARRY, 1.0 - unknown)
+        session = np.array([0.0] * len(NAMES) + [float(log is not None) for _, _, log in model.slots])
+        u = trained.u
+        if parts.whole and session.any():
+            model = dataclasses.replace(one.model, logged=there.logged)
+            u = there.fit(model, u, one.process, one.track.course, REGISTER, session).u
+        model = dataclasses.replace(one.model, logged=test.logged)
+        return test.fit(model, u, one.process, one.track.course, 0)
+
+    carried = in_parallel(judged_by, [one for _, one in chain])
+    fits = [("nominal", still), *zip([name for name, _ in chain], carried, strict=True)]
+    rate = fitter.logged.sampling.rate
+    process = comparing(test, fits[1][1])
+    told_by = [(force_gap(test, one, one.model, one.u, process), process) for _, one in fits[:2]]
+    told_by += [_told_by(test, one, process) for _, one in fits[2:]]
+    gaps = [gap for gap, _ in told_by]
+    common = np.prod([gap.counts for gap in gaps], axis=0)  # each has its own velocity, and slides where that says so
+    gaps = [gap.where(common) for gap in gaps] if common.any() else gaps
+    drawn = [gap.drawn(rate) for gap in gaps]
+
+    def rung(asked: tuple[tuple[str, Fitted], ForceGap, Forces, Float[np.ndarray, " draws"]]) -> Rung:
+        (name, one), gap, process, squares = asked
+        # how far a model is trusted is chosen anew: one that fitted to the noise may be a little off elsewhere
+        there = test.at(one.model, one.u, one.process, one.track.course)
+        processes = np.vstack([one.process * NEAR, test.first, test.quiet(one.process)])
+        foreseen = test.with_process(there, one.model, processes)
+        ratio = 1.0 - squares / drawn[0]
+        low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
+        # with effects within the filter what noise makes of it is no linear matter, and may seem to grow without end
+        alike = [one, uncoupled(test, fits[1][1])] if one.model.coupled else [one]
+        floors = [force_floor(test, each, gap.counts, process) for each in alike]
+        floor = min((each for each in floors if np.isfinite(each)), default=np.inf)
+        loop = None
+        closable = [log for log in parts.logs if logs[log].reference is not None]
+        if controller is not None and closable:
+            drives = [drive_of(one, log) for log in closable]
+            noise = float(fitter.logged.noise)
+            judged = [logs[log] for log in closable]
+            counts = [_at_control(fitter, parts.test, log) for log in closable]
+            loop = loop_gap(drives, controller, judged, counts, noise, fitter.logged.control)
+        shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
+        return Rung(
+            name, one, gap, gap.interval(rate), floor, shrink, loop,
+            _unlikely(foreseen.track, parts.test, rate), process,
+        )  # fmt: skip
+
+    trusting = [one for _, one in told_by]
+    return in_parallel(rung, list(zip(fits, gaps, trusting, drawn, strict=True))), parts

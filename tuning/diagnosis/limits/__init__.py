@@ -1,0 +1,1 @@
+"""What the logs would have shown of effects that were not found, and what they could not tell apart."""

@@ -1,0 +1,1 @@
+"""Which effects explain the logs: screening, fits, one effect after the other."""

@@ -1,0 +1,372 @@
+"""Which effects explain the logs: recalibrated, with one effect, with two, and so on as long as another is worth it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple, Optional
+
+import numpy as np
+
+from tuning.diagnosis.fits.curvature import limited, solved
+from tuning.diagnosis.fits.fitting import NEAR, Fitted, Fitter
+from tuning.diagnosis.fits.leftover import (
+    IMPOSSIBLE,
+    SLIGHT,
+    STRAINED,
+    WORTH,
+    blind,
+    complete,
+    disbelieved,
+    meant,
+    relieves,
+    strain,
+    unexplained,
+)
+from tuning.diagnosis.hypotheses.calibration import NAMES
+from tuning.diagnosis.hypotheses.candidate import Candidate
+from tuning.diagnosis.hypotheses.model import Vector
+from tuning.diagnosis.selection.leading import brought_back, but_one, searched_again, to_its_end
+from tuning.diagnosis.selection.search import Progress, Round, apart_from, first_of_each, look, whole
+from tuning.diagnosis.selection.stages import Tell, of_round, untold
+
+AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
+NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
+SLIGHTER = 0.2  # in place of SLIGHT beside an effect whose details differ, or where the filter was lost all along
+RELIEF = 20.0  # in evidence, that is enough where nothing is missing, but nominal parameters moved together for that
+RESOLVING = 50.0  # in evidence, that is enough where nothing is left then: a small effect beside a large one
+MOST_EFFECTS = 2
+
+
+class Explanation(NamedTuple):
+    """The recalibrated drive and the effects found, one round for each."""
+
+    base: Fitted
+    rounds: list[Round]
+    best: Fitted
+    other: Optional["Explanation"] = None  # the way that was searched too and ended no better
+
+    @property
+    def named(self) -> set[str]:
+        """The effects that were added."""
+        members = self.best.model.members
+        return {member.candidate.name for member in members[len(members) - self.best.model.added :]}
+
+
+def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted | None:
+    """`before` from where the best fit with one effect more ended, if that effect was not what made it better.
+
+    A fit that stopped on its way leaves something to explain to any effect that sets it going again.
+    """
+    if not fits:
+        return None
+    best = fits[0]
+    processes = np.vstack([best.process * NEAR, before.process * NEAR])
+    ends = [before.u, *_without(before, best)]  # the first for the filter's process force alone, which may be another
+    begun = [fitter.at(before.model, u, best.process, best.track.course) for u in ends]
+    there = min((fitter.with_process(one, before.model, processes) for one in begun), key=lambda one: one.cost)
+    if before.cost - there.cost < WORTH:
+        return None
+    further = fitter.fit(before.model, there.u, there.process, there.track.course)
+    return further if further.evidence < before.evidence and further.model.possible(further.u) else None
+
+
+def _without(before: Fitted, best: Fitted) -> list[Vector]:
+    """What `before` has free where a fit with one effect more ended: as it is, and moved to do without the effect."""
+    count = before.u.size
+    found, own = best.u[:count], best.jacobian[:, :count]
+    known = {one.name: one for one in best.model.members[-1].candidate.parameters}
+    amounts = np.array([known[name].amplitude for _, name, _ in best.model.slots[count - len(NAMES) :]])
+    if not amounts.any():
+        return [found]
+    taken = best.residual - best.jacobian[:, count:] @ (amounts * best.u[count:])
+    step = -solved(own.T @ own + np.eye(count), own.T @ taken + found)
+    return [found, found + limited(step)]
+
+
+def evidence_needed(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fits: Sequence[Fitted]) -> float:
+    """The evidence that one more effect must bring beside the `best`, which explains all where it is `ended`."""
+    if fits and relieves(fits[0], best):
+        return WORTH
+    if ended and not best.model.coarse:
+        return RELIEF
+    slight = SLIGHTER if best.model.coarse or blind(fitter, base) else SLIGHT
+    enough = max(RELIEF if ended else WORTH, slight * (base.evidence - best.evidence))
+    if fits and not best.model.coarse and complete(fitter, fits[0]):
+        return min(enough, RESOLVING)
+    return enough
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The search for effects in logs: one after the other, until another is not worth it or there are `most`."""
+
+    fitter: Fitter
+    progress: Progress
+    most: int
+    tell: Tell = untold
+
+    def left(self, base: Fitted, one: Fitted) -> float:
+        """The share of the gap that a fit leaves."""
+        return 0.0 if complete(self.fitter, one) else unexplained(self.fitter, base, one)
+
+    def over(self, base: Fitted, one: Fitted) -> bool:
+        """Whether nothing is missing any more but details."""
+        return whole(one, partial(self.left, base)) if one.model.coarse else complete(self.fitter, one)
+
+    def done(self, base: Fitted, one: Fitted) -> bool:
+        """Whether there is nothing left to explain, neither a force nor a number moved far."""
+        return self.over(base, one) and strain(one) < STRAINED
+
+    def standing(self, base: Fitted, one: Fitted) -> tuple[bool, ...]:
+        """What decides how the search goes on."""
+        return self.over(base, one), strain(one) >= STRAINED, strain(one) > IMPOSSIBLE
+
+    def looked(self, base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
+        """One more effect looked for."""
+        if rounds and self.done(base, before):
+            catalogue = [one for one in catalogue if one.noisy]
+        elif self.over(base, before):
+            catalogue = [one for one in catalogue if one.unseen or (one.twists and self.fitter.twist is not None)]
+        known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
+        found = look(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
+        self.tell(of_round(self.weighed(base, found)))
+        return found
+
+    def ended(self, base: Fitted, best: Fitted) -> bool:
+        """Whether nothing at all is looked for beside what was found. An error of the scale is, but not beside what is
+        stepped within the filter, where it costs much.
+        """
+        return self.done(base, best) and best.model.coupled
+
+    def onward(self, base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
+        """What was found before and, of this catalogue, what is found beside it."""
+        while len(rounds) < self.most and not (rounds and self.ended(base, best)):
+            found = self.looked(base, best, catalogue, rounds)
+            further = _further(self.fitter, best, found.fits)
+            if further is not None:
+                from_there = base if rounds else further
+                gained, explained = best.evidence - further.evidence, best.evidence - found.fits[0].evidence
+                again = gained > AGAIN * explained or self.standing(base, best) != self.standing(from_there, further)
+                base, best = from_there, further
+                if rounds:
+                    rounds = [*rounds[:-1], rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])]
+                    if self.ended(base, best):
+                        break
+                found = self.looked(base, best, catalogue, rounds) if again else found._replace(before=best)
+            found = self.weighed(base, found)
+            rounds = [*rounds, found]
+            if not found.worth_it:
+                break
+            best = found.fits[0]
+        return Explanation(base, rounds, best)
+
+    def weighed(self, base: Fitted, looked: Round) -> Round:
+        """The round with the evidence that its first effect has to bring."""
+        ended = self.over(base, looked.before)
+        return looked._replace(enough=evidence_needed(self.fitter, base, looked.before, ended, looked.fits))
+
+    def to_its_best(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
+        """The end of a search with what was searched for early searched for again, with numbers that can be, and
+        without what the others can do without, from where the search goes on. Once: not again for what is found then.
+        """
+        if not complete(self.fitter, found.best):
+            found = self.beside_the_last(found, catalogue)
+        other = self.spared(_credibly(self.fitter, found))
+        if other is found:
+            return found
+        return self.onward(other.base, other.rounds[: other.best.model.added], other.best, catalogue)
+
+    def spared(self, found: Explanation) -> Explanation:
+        """Without an effect that the others can do without; the same object where there is none.
+
+        One that is like the right one, or what had set a fit going that was stuck without it, may be found first. One
+        that sets the fit before it going is found last, and seems to bring more than all that was found before.
+        """
+        count = found.best.model.added
+        several = range(count if _outdone(found) else count - 1) if count > 1 else ()
+        for index in several:
+            fewer = but_one(self.fitter, found.best, index)
+            if fewer is None:
+                continue
+            if index == count - 1:
+                return self.credited(found, fewer)
+            if fewer.evidence - found.best.evidence >= self.bar(found.base, fewer, found.best):
+                continue
+            rounds = self.rounds_but(found, index, fewer)
+            if rounds is not None:
+                return found._replace(rounds=rounds, best=fewer)
+        return found
+
+    def credited(self, found: Explanation, fewer: Fitted) -> Explanation:
+        """The last effect held against what the others explain without it, or dropped where it is not worth it then;
+        the same object where they explain no more without it than they were known to.
+        """
+        *before, last = found.rounds[: found.best.model.added]
+        if fewer.evidence >= last.before.evidence:
+            return found
+        before[-1] = before[-1]._replace(fits=[fewer, *before[-1].fits[1:]])
+        last = self.weighed(found.base, last._replace(before=fewer))
+        if disbelieved(fewer, found.best):
+            last = last._replace(enough=WORTH)
+        if last.worth_it:
+            return found._replace(rounds=[*before, last])
+        return found._replace(rounds=before, best=fewer)
+
+    def rounds_but(self, found: Explanation, index: int, fewer: Fitted) -> list[Round] | None:
+        """The rounds without the one of that number, `fewer` being what is found without it in the end; None where what
+        came after it is no machine alone. The rivals are those of both rounds that become one.
+        """
+        count, rounds, dropped = found.best.model.added, found.rounds[:index], found.rounds[index]
+        before, aside, beside = dropped.before, dropped.fits, dropped.fits[: dropped.rivals]
+        for number, looked in enumerate(found.rounds[index + 1 : count], index + 1):
+            one = fewer if number == count - 1 else but_one(self.fitter, looked.fits[0], index)
+            if one is None:
+                return None
+            others = [but_one(self.fitter, rival, index) for rival in looked.fits[1 : looked.rivals]]
+            rivals = sorted(
+                [other for other in [*others, *beside] if other and not disbelieved(other, one)],
+                key=lambda other: other.evidence,
+            )
+            head = first_of_each([one, *rivals])
+            fits = first_of_each([*head, *aside])
+            joined = Round(before, looked.screened, fits, len(head), looked.allowance)
+            rounds = [*rounds, self.weighed(found.base, joined)]
+            before, aside, beside = one, [], []
+        return rounds
+
+    def bar(self, base: Fitted, fewer: Fitted, best: Fitted) -> float:
+        """The evidence that an effect must bring beside those that were found after it."""
+        if relieves(best, fewer) or disbelieved(fewer, best):
+            return WORTH
+        enough = max(WORTH, SLIGHT * (base.evidence - fewer.evidence))
+        return min(enough, RESOLVING) if complete(self.fitter, best) else enough
+
+    def beside_the_last(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
+        """What was searched for before the last effect was known searched for again beside it; without that one, and
+        with what is found in its place, where the others explain as much by then.
+        """
+        again = _searched_beside(self.fitter, found)
+        if again is found:
+            return found
+        last = self.weighed(found.base, again.rounds[-1])
+        if last.worth_it:
+            return again._replace(rounds=[*again.rounds[:-1], last])
+        return self.onward(found.base, again.rounds[:-1], last.before, catalogue)
+
+
+def explain(
+    fitter: Fitter,
+    base: Fitted,
+    catalogue: Sequence[Candidate],
+    progress: Progress,
+    most: int = MOST_EFFECTS,
+    tell: Tell = untold,
+) -> Explanation:
+    """Effects one after the other, as long as another is worth it, up to `most`; each search is told.
+
+    Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far, what a second
+    encoder saw, or what passes for noise of the scale. What is found is led to its best. Where something is missing
+    then, the search goes a second way, a rival of the first effect in front, beside which only what was found is looked
+    for. Where that ends better, everything is; the other end is kept as a rival.
+    """
+    search = _Search(fitter, progress, most, tell)
+    found = search.to_its_best(search.onward(base, [], base, catalogue), catalogue)
+    first = _other_first(found)
+    if first is None or search.over(found.base, found.best):
+        return found
+    first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]])
+
+    def beside(catalogue: Sequence[Candidate]) -> Explanation:
+        return search.to_its_best(search.onward(found.base, [first], first.fits[0], catalogue), catalogue)
+
+    other = beside([one for one in catalogue if one.name in found.named])
+    if not _better(found.base, other.best, found.best):
+        return found._replace(other=other)
+    widely = beside(catalogue)
+    return (other if _better(found.base, other.best, widely.best) else widely)._replace(other=found)
+
+
+def _outdone(found: Explanation) -> bool:
+    """Whether the last effect brought more than all before it together."""
+    last = found.rounds[found.best.model.added - 1]
+    return last.before.evidence - last.fits[0].evidence > found.base.evidence - last.before.evidence
+
+
+def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
+    """With what was searched for before another effect was known searched for again beside it, and what there was
+    before that other one fitted from there: else that would have the credit. The same object where that leads nowhere.
+    """
+    best, last = found.best, found.best.model.added - 1
+    if last < 1 or best.model.members[-1].candidate.searched:
+        return found
+    best = searched_again(fitter, found.base, best)
+    if best is found.best:
+        return found
+    one = found.rounds[last]
+    before = _further(fitter, one.before, [best]) or one.before
+    rounds = found.rounds[: last + 1]
+    rounds[last] = one._replace(before=before, fits=[best, *one.fits[1:]])
+    rounds[last - 1] = rounds[last - 1]._replace(fits=[before, *rounds[last - 1].fits[1:]])
+    return found._replace(rounds=rounds, best=best)
+
+
+def _credibly(fitter: Fitter, found: Explanation) -> Explanation:
+    """What was found with numbers that can be, where its fit left some that cannot and need not have. The same object
+    where it does not.
+
+    The first of its round is then what explains most with such numbers, and what needs others is no rival of it. What
+    those told beyond it is no less of a merit of the effect's than it was.
+    """
+    if not found.best.model.added or strain(found.best) <= IMPOSSIBLE:
+        return found
+    best, last = brought_back(fitter, found.base, found.best), found.best.model.added - 1
+    if best is found.best:
+        return found
+    looked = found.rounds[last]
+    rivals = [one for one in looked.fits[1 : looked.rivals] if not disbelieved(one, best)]
+    credible = sorted([best, *rivals], key=lambda one: one.evidence)
+    lost = max(credible[0].evidence - found.best.evidence, 0.0)
+    rounds = [*found.rounds]
+    rounds[last] = looked._replace(
+        fits=[*credible, *apart_from(looked.fits[1:], rivals)],
+        rivals=len(credible),
+        allowance=looked.allowance + lost,
+    )
+    return found._replace(rounds=rounds, best=credible[0])
+
+
+def _better(base: Fitted, one: Fitted, other: Fitted) -> bool:
+    """Whether one end is likelier than another. Never by numbers that cannot be where the other's can, and where only
+    its own can, it may lack a little.
+    """
+    if disbelieved(one, other):
+        return False
+    may_lack = SLIGHT * max(base.evidence - other.evidence, 0.0) if disbelieved(other, one) else 0.0
+    return one.evidence < other.evidence + may_lack
+
+
+def _other_first(found: Explanation) -> Round | None:
+    """The first round with another effect in front; None where there is none that could be meant.
+
+    Where what was found leaves a nominal parameter moved far, it is one that brings it back: until a tilt is known,
+    say, nothing fits a loose screw that it holds to one side. Elsewhere it is one that explains nearly as much: of two
+    effects, the second is found more easily beside one of them than beside the other.
+    """
+    if not found.best.model.added:
+        return None
+    first = found.rounds[0]
+    best, *others = first.fits
+
+    def gain(one: Fitted) -> float:
+        return first.before.evidence - one.evidence
+
+    def no_further(one: Fitted) -> bool:
+        among = meant(one, best)
+        return strain(one, among) < max(STRAINED, strain(best, among))
+
+    bringing_back = [one for one in others if relieves(one, found.best)]
+    near = [one for one in others if gain(one) > NEARLY * gain(best) and no_further(one)]
+    for one in [*bringing_back, *near]:
+        if gain(one) > WORTH:
+            return first._replace(fits=[one, *apart_from(first.fits, [one])], rivals=1, allowance=0.0, enough=WORTH)
+    return None

@@ -1,0 +1,181 @@
+"""Fits led on to where no more of it gains, along the ways that a fit alone does not find."""
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from tuning.diagnosis.fits.fitting import MOST_STEPS, NEAR, Fitted, Fitter, Point
+from tuning.diagnosis.fits.leftover import SLIGHT, WORTH, disbelieved
+from tuning.diagnosis.hypotheses.calibration import NAMES
+from tuning.diagnosis.hypotheses.candidate import Candidate
+from tuning.diagnosis.hypotheses.harmonics import at_its_root
+from tuning.diagnosis.hypotheses.model import Model, Vector
+from tuning.diagnosis.selection.evolving import evolved_once
+from tuning.diagnosis.selection.screening import begin, joined
+
+LONGER = 4  # times the most steps, for the best
+OWN = 8  # steps that an effect is given to fit the drive file's own numbers
+SEARCHES = 3  # more at most around a fit of what has to be searched for
+RETURNS = 3  # at most to the drive file's own numbers
+
+
+def possible(fits: Iterable[Fitted]) -> list[Fitted]:
+    """Those of a machine that can be, best first."""
+    kept = [one for one in fits if np.isfinite(one.evidence) and one.model.possible(one.u)]
+    return sorted(kept, key=lambda one: one.evidence)
+
+
+def on(fitter: Fitter, one: Fitted) -> Fitted:
+    """The fit gone on with, from where it ended; itself where that leads to no machine that can be."""
+    further = fitter.fit(one.model, one.u, one.process, one.track.course)
+    return next(iter(possible([further])), one)
+
+
+def renamed(fitter: Fitter, one: Fitted) -> Fitted:
+    """The fit with the wave that was added last told by its own period, where that is no worse."""
+    last = one.model.members[-1]
+    values = one.model.values(one.u)[-1]
+    rooted = at_its_root(last.candidate, values)
+    if rooted is values:
+        return one
+    own = begin(one.model, rooted)
+    again = fitter.fit(one.model, np.r_[one.u[: one.u.size - own.size], own], one.process, one.track.course)
+    return again if again.cost < one.cost + WORTH else one
+
+
+def to_its_end(fitter: Fitter, one: Fitted) -> Fitted:
+    """A fit, however few steps it was given, where no more of them gain."""
+    for _ in range(1 + LONGER):
+        further = on(fitter, one)
+        if further is one or further.steps < MOST_STEPS:
+            return further
+        one = further
+    return one
+
+
+def simpler(fitter: Fitter, before: Fitted, fits: Iterable[Fitted], kinds: Iterable[Candidate]) -> list[Fitted]:
+    """Fits of those kinds that the best fit's last effect is but a richer form of, from where that ended: without its
+    play, a loose screw is an elastic one. The simpler may have been searched for in a wrong place.
+    """
+    best = next(iter(possible(fits)), None)
+    if best is None:
+        return []
+    last, values = best.model.members[-1].candidate, best.model.values(best.u)[-1]
+    found = []
+    for kind in kinds:
+        if {one.name for one in kind.parameters} < {one.name for one in last.parameters}:
+            known = {one.name: values[one.name] for one in kind.parameters}
+            model = joined(before.model, kind, known)
+            u = np.r_[best.u[: before.u.size], begin(model, known)]
+            found.append(fitter.fit(model, u, best.process, best.track.course))
+    return found
+
+
+def but_one(fitter: Fitter, one: Fitted, index: int) -> Fitted | None:
+    """The fit without one of the effects that were added, from where it ended; None where that is no machine."""
+    member = len(one.model.members) - one.model.added + index
+    members = (*one.model.members[:member], *one.model.members[member + 1 :])
+    model = dataclasses.replace(one.model, members=members)
+    fewer = fitter.fit(model, one.u[~one.model.of_member(member)], one.process, one.track.course)
+    return next(iter(possible([to_its_end(fitter, fewer)])), None)
+
+
+def at_nominal(fitter: Fitter, one: Fitted) -> Fitted | None:
+    """The same hypothesis with the nominal parameters as the drive file has them; None where no filter can run it."""
+    found = fitter.fit(one.model, _nominal(one), None, one.track.course, most=0)
+    return found if np.isfinite(found.evidence) else None
+
+
+def allowance(one: Fitted, nominal: Fitted | Point) -> float:
+    """What a fit within the drive file's tolerances may lack against one far beyond them."""
+    return SLIGHT * max(nominal.cost - one.cost, 0.0)
+
+
+def brought_back(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
+    """The fit begun again from the drive file's own numbers, and what of it has to be searched for from there.
+
+    A valley that leads far off may begin beside the effects as they were found first, not as they are now; a gap that
+    is a little off is made up for by friction of either direction, and is found a little closer each time. The end is
+    taken where it does without the numbers that cannot be, and lacks no more than a little of what these had told: by
+    how much the fit is likelier than with the drive file's own and its effects fitted to those.
+    """
+    nominal = _begun(fitter, one)
+    if nominal is None:
+        return one
+    effects = np.r_[np.zeros(len(NAMES)), np.ones(one.u.size - len(NAMES))]
+    told = fitter.sought(one.model, nominal.u, nominal.process, nominal.track.course, OWN, effects)[0]
+    most = one.evidence + allowance(one, told)
+    last = np.inf
+    for _ in range(RETURNS):
+        ended = to_its_end(fitter, fitter.fit(one.model, nominal.u, nominal.process, nominal.track.course))
+        ends = possible([ended, searched_again(fitter, base, ended)])  # the other may lead off once more
+        taken = next((end for end in ends if end.evidence <= most and disbelieved(one, end)), None)
+        if taken is not None:
+            return taken
+        if not ends or last - ends[0].evidence < WORTH:
+            break
+        last, nominal = ends[0].evidence, _begun(fitter, ends[0])
+        if nominal is None:
+            break
+    return one
+
+
+def _nominal(one: Fitted) -> Vector:
+    """The values of a fit with the drive file's own nominal parameters."""
+    return np.r_[np.zeros(len(NAMES)), one.u[len(NAMES) :]]
+
+
+def _begun(fitter: Fitter, one: Fitted) -> Point | None:
+    """Where a fit with the drive file's own nominal parameters begins; None where no filter can run it."""
+    found = fitter.sought(one.model, _nominal(one), None, one.track.course, 0)[0]
+    return found if np.isfinite(found.cost) else None
+
+
+def _searched(model: Model) -> int | None:
+    """Which member has to be searched for; None where there is none."""
+    members = enumerate(model.members)
+    return next((k for k, one in members if one.candidate.searched and one.candidate.parameters), None)
+
+
+def searched_again(fitter: Fitter, before: Fitted, one: Fitted) -> Fitted:
+    """The fit, what of it has to be searched for searched again where the fit has all else, as long as that gains.
+
+    At first all else was as the drive file has it, or as it was without that effect: a wrong gap times the blows then.
+    """
+    index = _searched(one.model)
+    if index is None:
+        return one
+    its = one.model.of_member(index)
+    for seed in range(1, 1 + SEARCHES):
+        u = one.u.copy()
+        values, processes = evolved_once(fitter.store, before, one.model, index, u, seed)
+        u[its] = begin(one.model, values, index)
+        there = fitter.with_process(
+            fitter.at(one.model, u, one.process, one.track.course),
+            one.model,
+            np.vstack([one.process * NEAR, processes * NEAR]),
+        )
+        other = likelier(one, fitter.fit(one.model, there.u, there.process, there.track.course))
+        if one.evidence - other.evidence < WORTH:
+            return other
+        one = other
+    return one
+
+
+def likelier(one: Fitted, other: Fitted) -> Fitted:
+    """The other where it is a machine that can be, and the likelier one."""
+    return min(possible([one, other]), key=lambda fit: fit.evidence, default=one)
+
+
+def led_on(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
+    """The fits that can be, best first, the best at its end: what it has not yet explained, others would seem to."""
+    fits = possible(fits)
+    for _ in range(LONGER):
+        if not fits or fits[0].steps < MOST_STEPS:
+            break
+        further = on(fitter, fits[0])
+        if further is fits[0]:
+            break
+        fits = possible([further, *fits[1:]])
+    return fits

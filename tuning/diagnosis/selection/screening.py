@@ -1,0 +1,258 @@
+"""The whole catalogue against what a hypothesis leaves: how much would each effect explain?
+
+To first order, an effect bends the innovations along its answers to a small amount of it. What of the innovations lies
+along these, once the parameters that are free already have taken their part, is what the effect would explain: one
+projection for each point of its grid, no fit (Rao's score test).
+"""
+
+import dataclasses
+import operator
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffdrive.effects.base import MachineEffect
+from tuning.diagnosis.filter.exposure import Exposure
+from tuning.diagnosis.fits.curvature import limited, log_volume, solved
+from tuning.diagnosis.fits.differences import by_acts
+from tuning.diagnosis.fits.fitting import Fitted, Fitter, Point, answered
+from tuning.diagnosis.fits.leftover import STRAINED, strain
+from tuning.diagnosis.fits.reduced import reduced
+from tuning.diagnosis.hypotheses.calibration import NAMES
+from tuning.diagnosis.hypotheses.candidate import Candidate
+from tuning.diagnosis.hypotheses.model import (
+    Logged,
+    Member,
+    Model,
+    Vector,
+    effect_in_lanes,
+    exposed,
+    exposure_slopes,
+    machine_slopes,
+    stacked,
+)
+from tuning.diagnosis.hypotheses.priors import Parameter
+from tuning.diagnosis.selection.beginnings import looked_for
+from tuning.diagnosis.selection.evolving import evolved_once
+from tuning.store.store import Arrays
+
+TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
+BEST = 3  # of a grid, whose way is made, and that are tried under other process forces too
+LIKELY, BETWEEN = 2, 8  # points of a grid about which it is refined, and how many are tried there
+LITTLE, MUCH = 0.1, 2.0  # of a point of a grid, how far a secant is believed
+GLANCE = 2  # steps of a fit, by which what had made up for an effect makes way for it
+SCREENED = ("gain", "evidence", "rest", "aside", "processes")  # in the order of `Screened`
+VALUE = "value "  # before the name of a parameter
+DEARNESS = 7.0  # of evidence, that a parameter costs which the log tells to a thirtieth of its prior's spread
+
+
+Values = dict[str, Vector]
+
+
+class Screened(NamedTuple):
+    """What one candidate would explain."""
+
+    candidate: Candidate
+    gain: float  # fall of the cost
+    evidence: float  # and of -2 log evidence
+    values: dict[str, Vector]  # of its parameters, one for each log: where to start a fit
+    rest: Vector  # u of all that was free before, moved along
+    aside: Vector  # and moved no further than to make way
+    processes: Float[np.ndarray, "k 2"]  # N: the process forces to start from
+
+
+def written_screened(found: Screened) -> Arrays:
+    """As a `Store` keeps it."""
+    fields = {name: np.asarray(getattr(found, name)) for name in SCREENED}
+    return fields | {f"{VALUE}{name}": np.asarray(value) for name, value in found.values.items()}
+
+
+def read_screened(candidate: Candidate, piece: Arrays) -> Screened:
+    """What `written_screened` was given."""
+    values = {name.removeprefix(VALUE): value for name, value in piece.items() if name.startswith(VALUE)}
+    gain, evidence, *others = (piece[name] for name in SCREENED)
+    return Screened(candidate, float(gain), float(evidence), values, *others)
+
+
+def sensitivities(
+    fitted: Fitted, candidate: Candidate, point: Values
+) -> tuple[Float[np.ndarray, "m k"], list[tuple[Parameter, int | None]]]:
+    """Derivatives of the residuals by each amplitude of the candidate at a point of its grid, and what each is of:
+    a parameter, in units of its prior, and of which log; zero where the filter was lost.
+
+    What the candidate does alone, the others outside the filter being a force that acts beside the motor: to first
+    order that is what it does beside them, but for what answers the motor's force beside another of the actuator's.
+    """
+    columns, bend, labels = _small_changes(fitted, candidate, point)
+    if not fitted.model.coupled:
+        return _as_one_mass(fitted, columns, bend), labels
+    model, u, process, track = fitted.model, fitted.u, fitted.process, fitted.track
+    found = by_acts(model, u, process, track, fitted.drive, fitted.acting, np.asarray(columns), bend)
+    return _of_residuals(fitted, found), labels
+
+
+def sensitivities_of_one_mass(
+    fitted: Fitted, candidate: Candidate, point: Values
+) -> tuple[Float[np.ndarray, "m k"], list[tuple[Parameter, int | None]]]:
+    """The same as if motor and table were one mass: what is slower than a screw's resonance moves both alike."""
+    columns, bend, labels = _small_changes(fitted, candidate, point)
+    return _as_one_mass(fitted, columns, bend), labels
+
+
+def _as_one_mass(fitted: Fitted, columns: Float[Array, "p m"], bend: Exposure) -> Float[np.ndarray, "n m"]:
+    lanes, period = fitted.model.logged.lanes, fitted.model.logged.sampling.period
+    return _of_residuals(fitted, np.asarray(answered(fitted.track, fitted.linear, columns, bend, lanes.counts, period)))
+
+
+def _of_residuals(fitted: Fitted, changes: Float[np.ndarray, "lanes n m"]) -> Float[np.ndarray, "n m"]:
+    found = changes.reshape(fitted.residual.size, -1) / np.sqrt(float(fitted.track.size))
+    return np.where(fitted.residual[:, None] != 0.0, found, 0.0)
+
+
+def _small_changes(
+    fitted: Fitted, candidate: Candidate, point: Values
+) -> tuple[Float[Array, "p m"], Exposure, list[tuple[Parameter, int | None]]]:
+    """Of the machine's numbers and of what acts, by each amplitude."""
+    logged = _pushed(fitted)
+    effect = effect_in_lanes(candidate.effect, point, logged.owner)
+    amplitudes = [one for one in candidate.parameters if one.amplitude]
+    course = fitted.track.course
+    labels = [(one, log) for one in amplitudes for log in (range(logged.logs) if one.session else [None])]
+    rows = []
+    for one, log in labels:
+        here = np.array([log is None or log == owner for owner in logged.owner], float) * one.spread
+        zero = jax.tree.map(np.zeros_like, effect)
+        rows.append(eqx.tree_at(operator.attrgetter(one.name), zero, here))
+    tangents = stacked(rows)
+    bend = exposure_slopes(logged, fitted.drive, (effect,), (tangents,), course)
+    columns = jnp.zeros((fitted.linear.machine.shape[-1], len(rows)))
+    if issubclass(candidate.effect, MachineEffect):
+        b = jnp.asarray(fitted.model.calibration(fitted.u))
+        others = fitted.model.apart(fitted.model.effects(fitted.u))[0]
+        still = jax.tree.map(lambda leaf: np.zeros((len(rows), *leaf.shape)), others)
+        columns = machine_slopes(logged, b, (*others, effect), (*still, tangents))[:, len(NAMES) :]
+    return columns, bend, labels
+
+
+def _pushed(fitted: Fitted) -> Logged:
+    """The logs, and what the effects outside the filter push, which what follows the table has to know, as known."""
+    logged = fitted.model.logged
+    without = exposed(logged, fitted.drive, (), fitted.track.course)
+    known = logged.lanes.disturbance + (fitted.acting.force - without.force)
+    return logged._replace(lanes=logged.lanes._replace(disturbance=known))
+
+
+def screen(fitted: Fitted, candidate: Candidate) -> Screened:
+    """The best point of the grid of a candidate with amplitudes; of no evidence where there is none."""
+    found = [_screened(fitted, candidate, point) for point in looked_for(fitted, candidate)]
+    if candidate.narrow:
+        likely = sorted(found, key=lambda one: -one.evidence)[:LIKELY]
+        found += [_screened(fitted, candidate, point) for one in likely for point in _about(candidate, one)]
+    nothing = Screened(candidate, 0.0, -np.inf, {}, fitted.u, fitted.u, fitted.process * TRIED)
+    return max(found, key=lambda one: one.evidence, default=nothing)
+
+
+def _about(candidate: Candidate, found: Screened) -> list[Values]:
+    """Points between a point of the grid and its neighbours."""
+    steps = np.array([point[candidate.narrow] for point in candidate.grid])
+    step = float(np.log(steps[1] / steps[0])) if len(steps) > 1 else 0.0
+    fixed = {name: found.values[name] for name in candidate.grid[0]}
+    shares = step * np.linspace(-1, 1, BETWEEN + 2)[1:-1]
+    return [fixed | {candidate.narrow: fixed[candidate.narrow] * np.exp(share)} for share in shares]
+
+
+def _screened(fitted: Fitted, candidate: Candidate, point: Values) -> Screened:
+    """What the candidate would explain at a point of its grid."""
+    logged, values = fitted.model.logged, dict(point)
+    d, labels = sensitivities(fitted, candidate, values)
+    schur, slope, left, making_way = reduced(fitted, d)
+    schur = schur + np.eye(len(schur))
+    amount = -solved(schur, slope)
+    gain = float(-slope @ amount)
+    evidence = gain - log_volume(schur)
+    evidence = evidence if np.isfinite(evidence) else -np.inf  # an amount that no filter survives explains nothing
+    for (one, log), value in zip(labels, amount, strict=True):
+        row = values.setdefault(one.name, np.zeros(logged.logs))
+        row[slice(None) if log is None else log] = value * one.spread
+    rest, aside = (fitted.u - limited(way + making_way @ amount) for way in (left, 0.0 * left))
+    return Screened(candidate, gain, evidence, values, rest, aside, fitted.process * TRIED)
+
+
+def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
+    """The best point of the grid of a candidate that is not there by degrees, or the best that a search finds.
+
+    About the nominal parameters too, as long as recalibration may have gone astray to make up for what is missing; and
+    with what is free already moved to make way: what recalibration has made up for is worse with the effect at first.
+    """
+    model = joined(fitted.model, candidate)
+    astray = not fitted.model.added or strain(fitted) >= STRAINED
+    before = np.where(astray & (np.arange(fitted.u.size) < len(NAMES)), 0.0, fitted.u)
+    points, processes = looked_for(fitted, candidate), fitted.process * TRIED
+    if candidate.searched:
+        last = len(model.members) - 1
+        best, process = evolved_once(fitter.store, fitted, model, last, np.r_[before, begin(model, {})])
+        points, processes = [best], np.vstack([processes, process])
+
+    def tried_from(calibration: Vector, values: Values) -> tuple[Point, Values]:
+        u = np.r_[calibration, begin(model, values)]
+        return fitter.at(model, u, fitted.process, fitted.track.course), values
+
+    found = [tried_from(fitted.u, values) for values in points]
+    if not model.coupled:
+        cheapest = sorted(found, key=lambda one: one[0].cost)[:BEST]  # not all lie where a fit finds down
+        found += [_made_way(fitter, fitted, model, one) for one in cheapest]
+    if astray:
+        found += [tried_from(before, values) for values in points]
+    found.sort(key=lambda one: one[0].cost)
+    likely = [(fitter.with_process(one, model, processes), values) for one, values in found[:BEST]]
+    there, values = min(likely, key=lambda one: one[0].cost)
+    gain, rest = fitted.cost - there.cost, there.u[: fitted.u.size]
+    return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values, rest, rest, processes)
+
+
+def _made_way(fitter: Fitter, fitted: Fitted, model: Model, at: tuple[Point, Values]) -> tuple[Point, Values]:
+    """The effect, and what was free before moved to make way for it, after two steps of a fit.
+
+    They begin where the first order points, along the secant to what the effect does `at` a point where all else is as
+    fitted: at its values there or, of a single parameter, at the amount that explains most.
+    """
+    point, values = at
+    d = np.where(fitted.residual != 0.0, fitter.residuals(point)[0] - fitted.residual, 0.0)
+    left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
+    cross = fitted.jacobian.T @ d
+    making_way = solved(fitted.hessian, cross)
+    bent, slope = d @ d - cross @ making_way, d @ fitted.residual - cross @ left
+    amounts = {1.0}
+    if len(values) == 1 and bent > 0.0 and np.isfinite(slope):
+        amounts.add(float(np.clip(-slope / bent, LITTLE, MUCH)))
+    begun = []
+    for amount in sorted(amounts):
+        scaled = {name: amount * value for name, value in values.items()}
+        u = np.r_[fitted.u - limited(left + amount * making_way), begin(model, scaled)]
+        begun.append(fitter.at(model, u, fitted.process, fitted.track.course))
+    best = min(begun, key=lambda one: one.cost)
+    there, _ = fitter.sought(model, best.u, best.process, best.course, GLANCE)
+    return there, model.values(there.u)[-1]
+
+
+def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None = None) -> Model:
+    """The model with one more effect; what the candidate leaves alone stays at `values`."""
+    free = {one.name for one in candidate.parameters}
+    fixed = tuple((name, float(value[0])) for name, value in (values or {}).items() if name not in free)
+    return dataclasses.replace(model, members=(*model.members, Member(candidate, fixed)))
+
+
+def begin(model: Model, values: dict[str, Vector], member: int = -1) -> Vector:
+    """U of a member of a model, the last one if none is given, at `values`; at its middle where there is none."""
+    wanted = member % len(model.members)
+    known = {one.name: one for one in model.members[wanted].candidate.parameters}
+    u = []
+    for index, name, log in model.slots:
+        if index == wanted:
+            given = values.get(name)
+            u.append(0.0 if given is None else known[name].standard(float(given[0 if log is None else log])))
+    return np.array(u)

@@ -1,0 +1,380 @@
+"""The effect of the catalogue that explains most of what a hypothesis leaves, and its rivals.
+
+    screen the catalogue -> fit the most promising, a few steps -> the best to their end, what is searched for again
+
+The candidates of one round do not depend on one another.
+"""
+
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from typing import NamedTuple, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from diffdrive.errors import ParameterError
+from diffdrive.model.uncertainty import Uncertainty
+from tuning.diagnosis.filter.exposure import Course
+from tuning.diagnosis.fits.fitting import MOST_STEPS, Fitted, Fitter, Point
+from tuning.diagnosis.fits.leftover import COARSE, IMPOSSIBLE, LEFT, STRAINED, WORTH, meant, relieves, strain
+from tuning.diagnosis.fits.threads import in_parallel
+from tuning.diagnosis.hypotheses.calibration import NAMES, prior_root
+from tuning.diagnosis.hypotheses.candidate import Candidate
+from tuning.diagnosis.hypotheses.model import Logged, Member, Model, Vector
+from tuning.diagnosis.selection.leading import (
+    allowance,
+    at_nominal,
+    led_on,
+    on,
+    possible,
+    renamed,
+    searched_again,
+    simpler,
+)
+from tuning.diagnosis.selection.screening import Screened, begin, joined, read_screened, screen, tried, written_screened
+from tuning.store.store import digest
+
+FITTED, RACE = 5, 4  # candidates of a round that are fitted, and their first steps
+ALONE = 4  # first steps of a coupled effect
+BESIDE = 2  # candidates fitted about the drive file's own numbers, beside those that can bring its parameters back
+BACK = 2  # of those fitted that were believed before another was known, beside what is promising now
+CLOSE = 0.7  # of the best gain, that an effect must bring to be searched for again
+FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
+PROMISING = 4.0  # in evidence
+SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
+
+Progress = Callable[[str, int, int], None]
+A = TypeVar("A")
+
+
+class Round(NamedTuple):
+    """What was found when one more effect was looked for."""
+
+    before: Fitted
+    screened: list[Screened]  # best first
+    fits: list[Fitted]  # best first
+    rivals: int  # how many of these, the first ones, may stand for one another
+    allowance: float  # in evidence, that the first may lack since it resolves an impossibility
+    enough: float = WORTH  # in evidence, that the first had to bring
+
+    @property
+    def gain(self) -> float:
+        """Evidence that the first brought, and what it may lack."""
+        return self.before.evidence - self.fits[0].evidence + self.allowance
+
+    @property
+    def worth_it(self) -> bool:
+        """Whether the first brought enough."""
+        return bool(self.fits) and self.gain >= self.enough
+
+
+def standing(logged: Logged) -> Course:
+    """The course before any filter: where the table was measured, at rest."""
+    zero = jnp.zeros_like(logged.lanes.position)
+    return Course(logged.lanes.position, zero, zero, zero, zero)
+
+
+def recalibrated(
+    fitter: Fitter, tolerance: float, members: tuple[Member, ...] = (), uncertainty: Uncertainty | None = None
+) -> Fitted:
+    """The nominal drive with nothing but its parameters adjusted, each within what its prior allows.
+
+    `members` are effects that the nominal drive has, with nothing free; `uncertainty` is what its file doubts. Raises
+    `ParameterError` for a drive that no filter can run.
+    """
+    model = Model(
+        fitter.logged, members, prior_root(fitter.logged.drive, tolerance, uncertainty, fitter.logged.loop_samples)
+    )
+    found = fitter.fit(model, np.zeros(model.size), None, standing(fitter.logged))
+    if not np.isfinite(found.evidence):
+        raise ParameterError(
+            "the drive file's drive cannot be run along these logs: check that mass and friction are of the right "
+            "size, and that Coulomb friction plus breakaway gap is above zero in both directions"
+        )
+    return found
+
+
+def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
+    def found() -> Screened:
+        if any(one.amplitude for one in candidate.parameters):
+            return screen(before, candidate)
+        return tried(fitter, before, candidate)
+
+    if fitter.store is None:
+        return found()
+    at = (before.model, before.u, before.process, before.track, before.acting)
+    key = digest("screened", fitter.logged, at, candidate)
+    kept = fitter.store.read(key)
+    if kept is not None:
+        return read_screened(candidate, kept)
+    screened = found()
+    fitter.store.write(key, written_screened(screened))
+    return screened
+
+
+def fit_from(
+    fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_STEPS, alone: Fitted | None = None
+) -> Fitted:
+    """From where screening points: the parameters of before moved along, or to make way and no further, where a coupled
+    effect has the cost rough; as they were, or as the drive file has them; from what the effect was found to be
+    `alone`, before another was known; and from where nothing is added yet, should it have pointed too far.
+
+    A coupled effect is no small change: alone first, everything else held, which costs little.
+    """
+    aside = [found.aside] if before.model.coupled else []
+    nominal = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
+    begun = [_begun(fitter, before, found, rest) for rest in _different(found.rest, *aside, before.u, nominal)]
+    if alone is not None:
+        values = alone.model.values(alone.u)[-1]
+        rest = np.r_[alone.u[: len(NAMES)], before.u[len(NAMES) :]]
+        found_alone = found._replace(values=values, processes=np.vstack([found.processes, alone.process]))
+        begun += [_begun(fitter, before, found_alone, rest) for rest in _different(rest, before.u)]
+    model, there = min(begun, key=lambda one: one[1].cost)
+    ended = fitter.fit(model, there.u, there.process, there.track.course, most)
+    amplitudes = {one.name for one in found.candidate.parameters if one.amplitude}
+    if there.cost <= before.cost or not amplitudes:
+        return ended
+    none = {name: 0.0 * value if name in amplitudes else value for name, value in found.values.items()}
+    model = joined(before.model, found.candidate, found.values)
+    u = np.r_[before.u, begin(model, none)]
+    other = fitter.fit(model, u, before.process, before.track.course, most)
+    lost = min(ended.evidence, other.evidence) > before.evidence - PROMISING  # neither way has led anywhere yet
+    if lost and ended.steps == most and not found.candidate.coupled:
+        ended = fitter.fit(ended.model, ended.u, ended.process, ended.track.course, 2 * most)  # it came from far
+    return min(possible([ended, other]) or [ended, other], key=lambda one: one.evidence)
+
+
+def _different(*points: Vector) -> list[Vector]:
+    return list({tuple(one): one for one in points}.values())
+
+
+def _begun(fitter: Fitter, before: Fitted, found: Screened, rest: Vector) -> tuple[Model, Point]:
+    """Where a fit of what was found begins with all else at `rest`."""
+    model = joined(before.model, found.candidate, found.values)
+    own = begin(model, found.values)
+    there = fitter.at(model, np.r_[rest, own], before.process, before.track.course)
+    there = fitter.with_process(there, model, found.processes)
+    if found.candidate.coupled:
+        alone = np.r_[np.zeros(before.u.size), np.ones(own.size)]
+        there = fitter.sought(model, there.u, there.process, there.track.course, ALONE, alone)[0]
+    return model, there
+
+
+def _begun_again(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> list[Fitted]:
+    """The best fits that need nominal parameters moved far, begun again from the drive file's own, what was added
+    last fitted to those first; a few steps each.
+    """
+    return in_parallel(
+        lambda one: _to_nominal_first(fitter, before, one.model, one.u[before.u.size :], RACE),
+        [one for one in fits[:BESIDE] if strain(one) >= STRAINED],
+    )
+
+
+def _fit_to_nominal(fitter: Fitter, before: Fitted, found: Screened, most: int) -> Fitted:
+    """The effect alone first, the drive file taken at its word; then everything.
+
+    A nominal parameter that was moved far lies at the end of a long valley, along which a fit hardly moves.
+    """
+    model = joined(before.model, found.candidate, found.values)
+    return _to_nominal_first(fitter, before, model, begin(model, found.values), most)
+
+
+def _to_nominal_first(fitter: Fitter, before: Fitted, model: Model, own: Vector, most: int) -> Fitted:
+    u = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :], own]
+    alone = np.r_[np.zeros(before.u.size), np.ones(own.size)]
+    first = fitter.sought(model, u, None, before.track.course, 2 * ALONE, alone)[0]
+    return fitter.fit(model, first.u, first.process, first.track.course, most)
+
+
+def look(
+    fitter: Fitter,
+    before: Fitted,
+    catalogue: Sequence[Candidate],
+    progress: Progress,
+    left: Callable[[Fitted], float],
+    known: Sequence[Fitted] = (),
+) -> Round:
+    """One more effect; `left` is the share of the gap that a fit leaves, and `known` are fits of effects that were
+    looked for before another was known.
+
+    Where the nominal parameters were moved too far to be believed, it is looked for about the drive file's own numbers
+    too. Effects that have to be searched for are, where no other explains it all.
+    """
+    there = [member.candidate for member in before.model.members]
+    apart = [one for one in catalogue if not any(one.excludes(other) for other in there)]
+    few, searched = [one for one in apart if not one.searched], [one for one in apart if one.searched]
+    screened, fits = _race(fitter, before, few, progress, known)
+    fits = led_on(fitter, fits)
+    believed = None
+    if strain(before) > IMPOSSIBLE and not (fits and whole(fits[0], left) and strain(fits[0]) < STRAINED):
+        believed = at_nominal(fitter, before)
+        more = [] if believed is None else _race_to_nominal(fitter, before, believed, few, progress)
+        fits = led_on(fitter, [*fits, *more])
+    gains = fits and before.evidence - fits[0].evidence > SETTLED
+    if not (gains and whole(fits[0], left) and strain(fits[0]) < IMPOSSIBLE):
+        also, further = _race(fitter, before, searched, progress, known)
+        further += simpler(fitter, before, further, searched)
+        screened, fits = screened + also, led_on(fitter, _again(fitter, before, fits + further, left))
+    screened.sort(key=lambda one: -one.evidence)
+    return _ranked(before, believed, screened, fits)
+
+
+def whole(fitted: Fitted, left: Callable[[Fitted], float]) -> bool:
+    """Whether a fit leaves no more than the details of its effects may."""
+    return left(fitted) < (COARSE if fitted.model.coarse else LEFT)
+
+
+def _again(fitter: Fitter, before: Fitted, fits: Sequence[Fitted], left: Callable[[Fitted], float]) -> Sequence[Fitted]:
+    """The fits, those that bring nearly as much as the best and have to be searched for searched for again.
+
+    Not where the best leaves next to nothing: no rival will do better.
+    """
+    fits = possible(fits)
+    if not fits or (strain(fits[0]) < STRAINED and left(fits[0]) < LEFT):
+        return fits
+    near = CLOSE * (before.evidence - fits[0].evidence)
+
+    def again(one: Fitted) -> Fitted:
+        searched = one.model.members[-1].candidate.searched and before.evidence - one.evidence >= near
+        return searched_again(fitter, before, one) if searched else one
+
+    return in_parallel(again, fits)
+
+
+def _ranked(before: Fitted, believed: Fitted | None, screened: list[Screened], fits: Sequence[Fitted]) -> Round:
+    """The fits of a round by evidence; those that bring impossible parameters back go ahead of all that do not, unless
+    one that needs no impossible parameters clearly explains more, or the best more than those parameters ever did.
+    """
+    every = _best_of_each(fits, _name)
+    relieving = _best_of_each(_relieving(before, believed, fits), _name)
+    if believed is None or not relieving or _clearly(every[0], relieving[0]):
+        return Round(before, screened, every, len(every), 0.0)
+    if relieving[0].evidence - every[0].evidence > max(believed.cost - before.cost, SETTLED):
+        return Round(before, screened, every, len(every), 0.0)
+    named = {_name(one) for one in relieving}
+    others = [one for one in every if _name(one) not in named]
+    return Round(before, screened, [*relieving, *others], len(relieving), allowance(before, believed))
+
+
+def _clearly(best: Fitted, relieving: Fitted) -> bool:
+    """Whether the best may stay the best, though another effect leaves the nominal parameters nearer to the file's."""
+    return strain(best) < IMPOSSIBLE and relieving.evidence - best.evidence > SETTLED
+
+
+def _relieving(before: Fitted, believed: Fitted | None, fits: Sequence[Fitted]) -> list[Fitted]:
+    """The fits, best first, that explain as much as `before` and move no nominal parameter far."""
+    if believed is None:
+        return []
+    most = before.evidence + allowance(before, believed)
+
+    def relieving(one: Fitted) -> bool:
+        return strain(before, meant(one)) > IMPOSSIBLE and strain(one) < STRAINED
+
+    return sorted((one for one in fits if one.evidence < most and relieving(one)), key=lambda one: one.evidence)
+
+
+def _name(fitted: Fitted) -> str:
+    """The effect that was added last."""
+    return fitted.model.members[-1].candidate.name
+
+
+def first_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable] = _name) -> list[Fitted]:
+    """The first fit of each kind, in their order; those of one effect are one kind, if nothing else is said."""
+    found: dict[Hashable, Fitted] = {}
+    for one in fits:
+        found.setdefault(kind(one), one)
+    return list(found.values())
+
+
+def apart_from(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
+    """All but some."""
+    held = {id(one) for one in some}
+    return [one for one in all_of if id(one) not in held]
+
+
+def _race(
+    fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress, known: Sequence[Fitted]
+) -> tuple[list[Screened], list[Fitted]]:
+    """Screened, best first, and the promising ones fitted, best first: a few steps each, the best to the end."""
+    screened = in_parallel(
+        lambda one: _screened(fitter, before, one), catalogue, lambda k: progress("screening", k, len(catalogue))
+    )
+    screened.sort(key=lambda one: -one.evidence)
+    promising = _promising(screened)
+    promising += _bringing_back(before, known, apart_from(_likeliest(screened), promising))
+    alone = {one.model.members[-1].candidate.kind: one for one in known}
+    begun = in_parallel(
+        lambda one: fit_from(fitter, before, one, RACE, alone.get(one.candidate.kind)),
+        sorted(promising, key=lambda one: not one.candidate.coupled),  # what takes longest first
+        lambda k: progress("fitting", k, 2 * len(promising)),
+    )
+    begun = _best_of_each(begun, _name)
+    begun = _best_of_each([*begun, *_begun_again(fitter, before, begun)], _name)
+    gains = [before.evidence - one.evidence for one in begun]
+    enough = STAYS * max(gains, default=0.0) - PROMISING
+    ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > enough][:FINISH]
+    return screened, _ended(fitter, begun, ahead, len(promising), progress)
+
+
+def _promising(screened: Sequence[Screened]) -> list[Screened]:
+    """What is worth a fit of what was screened, best first.
+
+    So is all that was searched for: screening sees only where it begins.
+    """
+    return [one for one in _likeliest(screened) if one.candidate.searched or one.evidence > PROMISING][:FITTED]
+
+
+def _bringing_back(before: Fitted, known: Sequence[Fitted], others: Sequence[Screened]) -> list[Screened]:
+    """Those of the others that needed no nominal parameter moved far, before an effect was known that has one moved.
+
+    Best first, as they were then. That parameter may stand in for one of them, and screening sees nothing left for it.
+    """
+    evidence = {_name(one): one.evidence for one in known if relieves(one, before)}
+    found = [one for one in others if one.candidate.name in evidence]
+    return sorted(found, key=lambda one: evidence[one.candidate.name])[:BACK]
+
+
+def _likeliest(screened: Sequence[Screened]) -> list[Screened]:
+    """Of each kind the first; what is screened is given best first."""
+    kinds = {one.candidate.kind: one for one in reversed(screened)}
+    return [one for one in screened if one is kinds[one.candidate.kind]]
+
+
+def _race_to_nominal(
+    fitter: Fitter, before: Fitted, believed: Fitted, catalogue: Sequence[Candidate], progress: Progress
+) -> list[Fitted]:
+    """The promising about the drive file's own numbers fitted: those that bring the parameters back to the end."""
+    promising = _about_nominal(believed, catalogue)
+    begun = in_parallel(
+        lambda one: _fit_to_nominal(fitter, before, one, RACE),
+        promising,
+        lambda k: progress("fitting", k, 2 * len(promising)),
+    )
+    begun = _best_of_each(begun, _name)
+    return _ended(fitter, begun, _relieving(before, believed, begun)[:FINISH], len(promising), progress)
+
+
+def _ended(
+    fitter: Fitter, begun: Sequence[Fitted], ahead: Sequence[Fitted], count: int, progress: Progress
+) -> list[Fitted]:
+    """All that was begun, those `ahead` led to their end."""
+    ended = in_parallel(
+        lambda one: renamed(fitter, on(fitter, one)),
+        ahead,
+        lambda k: progress("fitting", count + k, count + len(ahead)),
+    )
+    return [*ended, *apart_from(begun, ahead)]
+
+
+def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Screened]:
+    """The promising about the drive file's own numbers: where recalibration went astray, nothing looks as it is."""
+    amounts = [one for one in catalogue if any(parameter.amplitude for parameter in one.parameters)]
+    found = in_parallel(lambda one: screen(believed, one), amounts)
+    found.sort(key=lambda one: -one.evidence)
+    found = _likeliest(found)
+    few = found[:BESIDE]
+    return few + [one for one in apart_from(found, few) if one.candidate.relieves]
+
+
+def _best_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable]) -> list[Fitted]:
+    """One fit of each kind, the best first."""
+    return first_of_each(possible(fits), kind)
