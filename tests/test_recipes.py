@@ -130,7 +130,7 @@ def test_an_effect_is_found_by_the_diagnosis_among_all_others(shop):
     base = recalibrated(fitter, TOLERANCE)
     (candidate,) = (one for one in catalogue(fitter, base) if one.name == "counterbalance")
     fit = fit_from(fitter, base, screen(base, candidate))
-    values = fit.model.values(fit.u)[0]
+    values = fit.model.values(fit.theta)[0]
     assert values["force"][0] == pytest.approx(40.0, rel=0.03)
     assert values["length"][0] == pytest.approx(0.06, rel=0.03)
     assert base.evidence - fit.evidence > 100.0

@@ -16,7 +16,7 @@ from experiments.reports.readable import titled
 from experiments.reports.report import Report
 from tuning.identification.controller.workflow import identify_controller
 from tuning.identification.excitation import shortcomings
-from tuning.identification.shown_motion import Shortcoming
+from tuning.identification.shown_motion import ExcitationDeficit
 
 SMOOTH = 5e-3  # s, over which a speed is taken
 
@@ -68,7 +68,7 @@ def check_logs(
     return not fatal
 
 
-def _shortcomings(logs: Sequence[Log], axis: Axis) -> list[Shortcoming]:
+def _shortcomings(logs: Sequence[Log], axis: Axis) -> list[ExcitationDeficit]:
     """What all these logs together do not determine of the drive; nothing where that cannot be judged."""
     try:
         return shortcomings(logs, axis.as_logged().drive)

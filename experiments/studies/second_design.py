@@ -17,7 +17,7 @@ from diffdrive.runtime import configure
 from experiments.studies.resumed import resumed
 from tuning.checked_logs import checked
 from tuning.diagnosis.diagnose import logged_of
-from tuning.diagnosis.fits.leftover import complete
+from tuning.diagnosis.fits.goodness_of_fit import is_complete
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
 from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.setting import setting
@@ -61,7 +61,7 @@ def answer(folder: Path, case: str, kind: str, true: Sequence[str]) -> Answer:
         explained=found.base.plain - found.best.plain,
         left=_left(found.best),
         base_left=_left(found.base),
-        is_complete=complete(fitter, found.best.fitted),
+        is_complete=is_complete(fitter, found.best.fitted),
         screened=[[(one.candidate.name, one.evidence) for one in looked.entries] for looked in found.rounds],
         fitted=_gains(found),
         seconds=time.monotonic() - begun,

@@ -5,31 +5,33 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tuning.diagnosis.fits import leftover
+from tuning.diagnosis.fits import goodness_of_fit
 from tuning.diagnosis.hypotheses.calibration import NAMES, tolerated
 from tuning.diagnosis.selection import explain
 
 SEARCHED = ("backlash", "compliance")
 
 
-def fake_fit(*effects, evidence, strain=0.0, coarse=False):
-    """A fit with these effects, of this evidence, that moves a nominal parameter by `strain` tolerances."""
+def fake_fit(*effects, evidence, max_prior_deviation=0.0, coarse=False):
+    """A fit with these effects, of this evidence, that moves a nominal parameter by so many tolerances."""
     members = tuple(
         SimpleNamespace(candidate=SimpleNamespace(name=one, searched=one in SEARCHED, parameters=(one,)))
         for one in effects
     )
     model = SimpleNamespace(
-        members=members, added=len(effects), coarse=coarse, coupled=coarse, possible=lambda u: True,
+        members=members, added=len(effects), coarse=coarse, coupled=coarse, possible=lambda theta: True,
         prior=tolerated(0.02), logged=SimpleNamespace(loop_samples=1),
     )  # fmt: skip
-    return SimpleNamespace(model=model, evidence=evidence, cost=evidence, u=np.r_[strain, np.zeros(len(NAMES) - 1)])
+    return SimpleNamespace(
+        model=model, evidence=evidence, cost=evidence, theta=np.r_[max_prior_deviation, np.zeros(len(NAMES) - 1)]
+    )
 
 
 @pytest.fixture
 def no_filter_lost(monkeypatch):
     """No filter is lost, and no effect can be done without."""
-    monkeypatch.setattr(explain, "but_one", lambda *_: None)
-    for module in (explain, leftover):
+    monkeypatch.setattr(explain, "drop_effect", lambda *_: None)
+    for module in (explain, goodness_of_fit):
         monkeypatch.setattr(module, "blind", lambda *_: False)
 
 

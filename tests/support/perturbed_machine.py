@@ -40,4 +40,4 @@ def recalibrated_of(*effects):
 
 def catalogue(fitter, base):
     """What may be missing beside a fit."""
-    return candidates(setting(base.own, fitter.logged.lanes, 1.0 / RATE))
+    return candidates(setting(base.recalibrated_drive, fitter.logged.lanes, 1.0 / RATE))

@@ -11,13 +11,13 @@ from diffdrive.model.quantity import Directional
 from diffdrive.results import as_json as plain
 from diffdrive.support.spans import format_span
 from tuning.diagnosis.diagnose import Diagnosis
+from tuning.diagnosis.fits.goodness_of_fit import STRAINED, comparable_parameters, max_prior_deviation
 from tuning.diagnosis.fits.intervals import deviations, parameters
-from tuning.diagnosis.fits.leftover import STRAINED, meant, strain
 from tuning.diagnosis.gap.dependence_words import dependence_says, dependences_say
 from tuning.diagnosis.hypotheses.calibration import DELAY, FORCE, LOGARITHMS, NAMES
 from tuning.diagnosis.hypotheses.model import Logged
-from tuning.diagnosis.judgement.held_out import HIDDEN, closed
-from tuning.diagnosis.judgement.ladder import Rung, known_floor
+from tuning.diagnosis.judgement.held_out import HIDDEN, gap_reduction
+from tuning.diagnosis.judgement.ladder import ModelComparison, known_floor
 from tuning.diagnosis.judgement.verdict import Belief
 from tuning.diagnosis.limits.limit_words import limit_says, limits_say, rivalry_says
 from tuning.diagnosis.next_experiment import Experiment
@@ -32,7 +32,7 @@ TOO_FAR = (
 
 def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
     """The diagnosis as diagnosis.json holds it: numbers, and null where one is infinite or undefined."""
-    nominal, recalibrated, last = found.rungs[0], found.rungs[1], found.rungs[-1]
+    nominal, recalibrated, last = found.comparisons[0], found.comparisons[1], found.comparisons[-1]
     told = {
         "verdict": found.verdict.verdict,
         "says": found.verdict.says,
@@ -55,9 +55,9 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "where": [one._asdict() for one in found.where],
         "causes": [cause(found, one) for one in found.verdict.beliefs],
         "recalibrated": list(_recalibrated(found)),
-        "ladder": [_rung(found, one) for one in found.rungs],
+        "ladder": [_rung(found, one) for one in found.comparisons],
         "closed": _closed(found),
-        "lacks": [one._asdict() for one in found.lacks],
+        "lacks": [one._asdict() for one in found.excitation_deficits],
         "detection_limits": [one._asdict() | {"says": limit_says(one)} for one in found.limits],
         "logs_would_show": limits_say(found.limits),
         "hardly_told_apart": [
@@ -74,13 +74,13 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
 
 def _size(found: Diagnosis) -> str:
     """How large the gap is, in words."""
-    (nominal, recalibrated), floor = (one.force for one in found.rungs[:2]), found.floor
+    (nominal, recalibrated), floor = (one.force for one in found.comparisons[:2]), found.floor
     if not recalibrated.told:
         return TOO_FAR
     after = f"after recalibration {recalibrated.rms:.3g} N RMS"
     if not nominal.told or floor is None:
         return f"{TOO_FAR}; {after}"
-    (low, high), within = found.rungs[0].interval, recalibrated.rms < HIDDEN * floor
+    (low, high), within = found.comparisons[0].interval, recalibrated.rms < HIDDEN * floor
     return (
         f"Missing force with the drive file: {nominal.rms:.3g} N RMS ({low:.3g} to {high:.3g}), "
         f"{nominal.rms / floor:.2g} times the noise floor of {floor:.3g} N; {after}, {'at' if within else 'above'} the "
@@ -88,19 +88,19 @@ def _size(found: Diagnosis) -> str:
     )
 
 
-def _force(rung: Rung) -> float | None:
+def _force(comparison: ModelComparison) -> float | None:
     """The missing force (N); None where it cannot be computed."""
-    return rung.force.rms if rung.force.told else None
+    return comparison.force.rms if comparison.force.told else None
 
 
-def _span(rung: Rung) -> tuple[float | None, float | None]:
+def _span(comparison: ModelComparison) -> tuple[float | None, float | None]:
     """Its interval (N)."""
-    return rung.interval if rung.force.told else (None, None)
+    return comparison.interval if comparison.force.told else (None, None)
 
 
-def _in_loop(rung: Rung, name: str) -> float | None:
+def _in_loop(comparison: ModelComparison, name: str) -> float | None:
     """A number of the simulation in closed loop; None where that could not be simulated."""
-    return None if rung.loop is None or rung.loop.says else getattr(rung.loop, name)
+    return None if comparison.loop is None or comparison.loop.says else getattr(comparison.loop, name)
 
 
 def cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
@@ -111,9 +111,9 @@ def cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
     numbers = parameters(fitted, names.index(belief.effect))
     kind = EFFECTS[belief.effect]
     units = {field.name: field.metadata["quantity"].unit for field in dataclasses.fields(kind)}
-    rungs = {rung.name: rung for rung in found.rungs}
-    rung = rungs.get(f"+ {belief.effect}") if belief.found else None
-    before = found.rungs[found.rungs.index(rung) - 1] if rung else None
+    comparisons = {comparison.name: comparison for comparison in found.comparisons}
+    comparison = comparisons.get(f"+ {belief.effect}") if belief.found else None
+    before = found.comparisons[found.comparisons.index(comparison) - 1] if comparison else None
     return {
         "effect": belief.effect,
         "confidence": belief.confidence,
@@ -124,15 +124,15 @@ def cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
         "intervals": {name: interval for name, (_, interval) in numbers.items()},
         "units": {name: units[name] for name in numbers},
         "gap_before": before and _force(before),
-        "gap_after": rung and _force(rung),
-        "held_out": rung and before and _own_shrink(found, before, rung),
+        "gap_after": comparison and _force(comparison),
+        "held_out": comparison and before and _own_shrink(found, before, comparison),
         "indistinguishable_from": belief.alternatives if belief.found or belief.confidence >= NOT_NOTHING else [],
     }
 
 
-def _own_shrink(found: Diagnosis, before: Rung, after: Rung) -> dict[str, object]:
+def _own_shrink(found: Diagnosis, before: ModelComparison, after: ModelComparison) -> dict[str, object]:
     """What one effect takes off the gap beyond the floor that the rung before it leaves; no share of nothing."""
-    gone = closed(before, after, found.logged.sampling.rate)
+    gone = gap_reduction(before, after, found.logged.sampling.rate)
     judged = {"judged_on": found.split.says}
     if gone is None or not after.force.told:
         return {"shrink": None, "interval": None, **judged}
@@ -150,7 +150,7 @@ def _recalibrated(found: Diagnosis) -> Iterator[dict[str, object]]:
         for name, nominal, unit in _nominal(found.logged, parameter) if movable[k] else ():
             row: dict[str, object] = {"parameter": name, "unit": unit, "drive_file": nominal}
             for key, one in fits.items():
-                by = one.model.calibration(one.u)[k] + NORMAL * spreads[key][k] * np.array([0.0, -1.0, 1.0])
+                by = one.model.calibration(one.theta)[k] + NORMAL * spreads[key][k] * np.array([0.0, -1.0, 1.0])
                 value, *interval = (nominal + by if k >= LOGARITHMS else nominal * np.exp(by)).tolist()
                 row |= {key: value, f"{key}_interval": interval}
             yield row
@@ -171,45 +171,47 @@ def _nominal(logged: Logged, parameter: str) -> list[tuple[str, float, str]]:
     return [(f"{field}.{way}", float(getattr(value, way)), unit) for way in ways]
 
 
-def _rung(found: Diagnosis, rung: Rung) -> dict[str, object]:
-    shrink, *span = rung.shrink if rung.force.told and found.rungs[0].force.told else (None, None, None)
+def _rung(found: Diagnosis, comparison: ModelComparison) -> dict[str, object]:
+    shrink, *span = (
+        comparison.shrink if comparison.force.told and found.comparisons[0].force.told else (None, None, None)
+    )
     unknown = "not simulated in closed loop: the controller or the reference is not known"
     return {
-        "model": rung.name,
-        "force_rms_N": _force(rung),
-        "force_interval_N": _span(rung),
-        "force_floor_N": known_floor(found.rungs, rung),
+        "model": comparison.name,
+        "force_rms_N": _force(comparison),
+        "force_interval_N": _span(comparison),
+        "force_floor_N": known_floor(found.comparisons, comparison),
         "shrink": shrink,
         "shrink_interval": span,
-        "position_rms_m": _in_loop(rung, "position_rms"),
-        "position_floor_m": _in_loop(rung, "position_floor"),
-        "command_rms_N": _in_loop(rung, "command_rms"),
-        "command_floor_N": _in_loop(rung, "command_floor"),
-        "loop_says": rung.loop.says if rung.loop else unknown,
-        "deviance": rung.deviance,
+        "position_rms_m": _in_loop(comparison, "position_rms"),
+        "position_floor_m": _in_loop(comparison, "position_floor"),
+        "command_rms_N": _in_loop(comparison, "command_rms"),
+        "command_floor_N": _in_loop(comparison, "command_floor"),
+        "loop_says": comparison.loop.says if comparison.loop else unknown,
+        "deviance": comparison.deviance,
     }
 
 
 def _closed(found: Diagnosis) -> dict[str, object]:
     """How much of the force's mean square that recalibration leaves beyond the floor is gone with what was found."""
-    before, after, floor, gone = found.rungs[1].force, found.rungs[-1].force, found.floor, found.closed
-    if len(found.rungs) == 2:
+    before, after, floor, gone = found.comparisons[1].force, found.comparisons[-1].force, found.floor, found.closed
+    if len(found.comparisons) == 2:
         return {"share": None, "interval": None, "says": "No effect was added."}
     if not (before.told and after.told and floor is not None):
         lost = "the recalibrated drive" if after.told else "what was found"
         says = f"On {found.split.says}: the missing force is not computed, since the filter loses track with {lost}"
         return {"share": None, "interval": None, "says": says + _in_closed_loop(found)}
-    alike = np.array_equal(found.rungs[1].trusting, found.rungs[-1].trusting)
+    alike = np.array_equal(found.comparisons[1].trusting, found.comparisons[-1].trusting)
     on = (
         f"On {found.split.says}: {before.rms:.3g} N recalibrated, {after.rms:.3g} N with what was found, the floor "
         f"{floor:.3g} N{'' if alike else ' (by a filter of its own that follows it)'}"
     )
     if gone is None:
-        among = meant(found.explanation.base, found.found)
-        moved = strain(found.explanation.base, among)
+        among = comparable_parameters(found.explanation.base, found.found)
+        moved = max_prior_deviation(found.explanation.base, among)
         hides = (
             f"Recalibration hides the gap, but with a nominal parameter moved by {moved:.0f} standard deviations, "
-            f"against {strain(found.found, among):.1f} with it"
+            f"against {max_prior_deviation(found.found, among):.1f} with it"
         )
         says = f"{on}. {hides if moved >= STRAINED else 'Recalibration alone leaves nothing there to close'}"
         return {"share": None, "interval": None, "says": says + _in_closed_loop(found)}
@@ -220,8 +222,10 @@ def _closed(found: Diagnosis) -> dict[str, object]:
 
 def _in_closed_loop(found: Diagnosis) -> str:
     """How far the simulation is off, in words: backlash shows where the table turns, the force only while it slides."""
-    before, after = (_in_loop(rung, "position_rms") for rung in (found.rungs[1], found.rungs[-1]))
-    floor = _in_loop(found.rungs[-1], "position_floor")
+    before, after = (
+        _in_loop(comparison, "position_rms") for comparison in (found.comparisons[1], found.comparisons[-1])
+    )
+    floor = _in_loop(found.comparisons[-1], "position_floor")
     if before is None or after is None or floor is None:
         return ""
     off, left, least = (f"{1e6 * one:.3g} um" for one in (before, after, floor))

@@ -22,11 +22,11 @@ from diffdrive.model.parameters import Drive, Sampling, require_coulomb_friction
 from diffdrive.model.uncertainty import Uncertainty
 from diffdrive.numerics.arrays import as_arrays
 from diffdrive.support.rates import is_same_rate
-from tuning.diagnosis.filter.exposure import in_parts
+from tuning.diagnosis.filter.effect_signals import in_parts
 from tuning.diagnosis.filter.second_encoder import twist_of
 from tuning.diagnosis.fits.fitting import Fitted, Fitter
-from tuning.diagnosis.fits.leftover import LACKING, SLIDING, complete, credible, furthest
-from tuning.diagnosis.fits.trust import comparing
+from tuning.diagnosis.fits.goodness_of_fit import LACKING, SLIDING, is_complete, is_plausible, largest_deviation_says
+from tuning.diagnosis.fits.reference_noise import reference_process_noise
 from tuning.diagnosis.gap.dependence import Dependence, dependences
 from tuning.diagnosis.gap.gap import ForceGap, force_gap, force_noise, rms_of_noise, uncoupled
 from tuning.diagnosis.gap.laps import Laps, laps
@@ -34,23 +34,30 @@ from tuning.diagnosis.gap.splitting import Split
 from tuning.diagnosis.gap.where import Region, localise
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
 from tuning.diagnosis.hypotheses.candidates import candidates, given
-from tuning.diagnosis.hypotheses.coverage import shortcomings
+from tuning.diagnosis.hypotheses.excitation import excitation_deficits
 from tuning.diagnosis.hypotheses.model import Logged, Member, counted_in, thinned
 from tuning.diagnosis.hypotheses.setting import setting
-from tuning.diagnosis.judgement.command_left import doubted_by_command
-from tuning.diagnosis.judgement.events import doubted_by_event
-from tuning.diagnosis.judgement.held_out import Closed, closed, closing, confirmed, left_in_loop, upheld
-from tuning.diagnosis.judgement.ladder import Rung, climb, known_floor
+from tuning.diagnosis.judgement.command_left import downgraded_by_command
+from tuning.diagnosis.judgement.events import downgraded_by_event
+from tuning.diagnosis.judgement.held_out import (
+    GapReduction,
+    confirmed,
+    gap_reduction,
+    gap_reductions,
+    left_in_loop,
+    prune_on_validation,
+)
+from tuning.diagnosis.judgement.ladder import ModelComparison, compare_models, known_floor
 from tuning.diagnosis.judgement.verdict import Verdict, judge
 from tuning.diagnosis.limits.detection import DetectionLimit, detection_limits, small_amounts
 from tuning.diagnosis.limits.isolability import Rivalry, rivalries
 from tuning.diagnosis.selection.explain import MOST_EFFECTS, Explanation, evidence_needed, explain
-from tuning.diagnosis.selection.reading import likeliest_snapshots
 from tuning.diagnosis.selection.search import Progress, Round, recalibrated
-from tuning.diagnosis.selection.stages import Tell, of_gap, untold
+from tuning.diagnosis.selection.snapshots import likeliest_snapshots
+from tuning.diagnosis.selection.stages import Tell, of_gap, unheard
 from tuning.identification.padding import padded
 from tuning.identification.problem import MIN_LANE_SAMPLES, lanes_of, long_pieces, noise_floor, sampling_of
-from tuning.identification.shown_motion import Shortcoming
+from tuning.identification.shown_motion import ExcitationDeficit
 from tuning.store.store import Store
 
 SUBSTEP = 50e-6  # s
@@ -67,9 +74,9 @@ class Diagnosis:
     verdict: Verdict
     where: list[Region]
     gap: ForceGap  # of the recalibrated drive
-    rungs: list[Rung]
+    comparisons: list[ModelComparison]
     split: Split
-    lacks: list[Shortcoming]
+    excitation_deficits: list[ExcitationDeficit]
     laps: Laps | None  # where a reference repeats, and the missing force can be told
     limits: list[DetectionLimit]  # what the logs would have shown of each effect that was not found
     alike: list[Rivalry]  # what they would have shown, and not told from another effect
@@ -78,12 +85,12 @@ class Diagnosis:
     @property
     def floor(self) -> float | None:
         """N: the force that the measuring noise alone would make, on what is held out; None where it cannot be told."""
-        return known_floor(self.rungs, self.rungs[-1])
+        return known_floor(self.comparisons, self.comparisons[-1])
 
     @property
-    def closed(self) -> Closed | None:
+    def closed(self) -> GapReduction | None:
         """How far what was found closes the gap that is held out; None where nothing was found, or nothing was left."""
-        return _closed(self.rungs, self.logged.sampling.rate)
+        return _closed(self.comparisons, self.logged.sampling.rate)
 
     @property
     def found(self) -> Fitted:
@@ -133,7 +140,7 @@ def diagnose(
     uncertainty: Uncertainty | None = None,
     store: Store | None = None,
     progress: Progress = lambda what, done, most: None,
-    tell: Tell = untold,
+    tell: Tell = unheard,
 ) -> Diagnosis:
     """Find what a drive lacks to move as its logs do.
 
@@ -152,25 +159,27 @@ def diagnose(
     effects = [counted_in(one, logged.thinning) for one in drive.effects]
     fitter = Fitter(logged, twist_of(logs, logged.lanes, float(logged.noise), logged.thinning), store)
     at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning, logged.starts)
-    lacks = shortcomings(logged, at)
+    deficits = excitation_deficits(logged, at)
     progress("recalibrating", 0, 1)
     base = recalibrated(fitter, tolerance, tuple(Member(*one) for one in given(effects, at)), uncertainty)
     progress("recalibrating", 1, 1)
     lead = next((float(one.lead) for one in drive.effects if isinstance(one, LeadError)), None)
     early = _missing_force(fitter, base)
-    tell(of_gap(early.gap, early.floor, complete(fitter, base), _located(logged, early, lead, ())))
+    tell(of_gap(early.gap, early.floor, is_complete(fitter, base), _located(logged, early, lead, ())))
     catalogue = [one for one in candidates(at) if one.name not in without]
-    hopeless = any(one.hopeless for one in lacks)
+    hopeless = any(one.hopeless for one in deficits)
     found = Explanation(base, [], base) if hopeless else explain(fitter, base, catalogue, progress, most_effects, tell)
     progress("judging on held-out data", 0, 1)
-    rungs, parts = climb(fitter, found, list(logs), None if isinstance(controller, UnknownController) else controller)
-    sought, (found, rungs) = found, upheld(found, rungs)
-    share = _closed(rungs, logged.sampling.rate)
-    verdict = judge(fitter, found, left_in_loop(rungs), closing(found, rungs, logged.sampling.rate))
-    verdict = _credible(confirmed(verdict, rungs, share), found.best)
-    verdict = doubted_by_event(doubted_by_command(verdict, found), found.best)
-    verdict = _within(verdict, lacks)
-    if sought.best.model.added > found.best.model.added:
+    comparisons, parts = compare_models(
+        fitter, found, list(logs), None if isinstance(controller, UnknownController) else controller
+    )
+    before_pruning, (found, comparisons) = found, prune_on_validation(found, comparisons)
+    share = _closed(comparisons, logged.sampling.rate)
+    verdict = judge(fitter, found, left_in_loop(comparisons), gap_reductions(found, comparisons, logged.sampling.rate))
+    verdict = _credible(confirmed(verdict, comparisons, share), found.best)
+    verdict = downgraded_by_event(downgraded_by_command(verdict, found), found.best)
+    verdict = _within(verdict, deficits)
+    if before_pruning.best.model.added > found.best.model.added:
         last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
         verdict = verdict.and_says(f"{last} was withdrawn, since the held-out data are predicted worse with it")
     if without:
@@ -187,9 +196,8 @@ def diagnose(
     left = dependences(fitter, found.best, at) if searched and _is_lacking(fitter, found, verdict) else None
     progress("finding what these logs would show", 1, 1)
     again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.told else None
-    return Diagnosis(
-        logged, found, verdict, [*where, *_signals(rungs)], gap, rungs, parts, lacks, again, limits, alike, left
-    )
+    where = [*where, *_signals(comparisons)]
+    return Diagnosis(logged, found, verdict, where, gap, comparisons, parts, deficits, again, limits, alike, left)
 
 
 class _MissingForce(NamedTuple):
@@ -205,8 +213,8 @@ class _MissingForce(NamedTuple):
 
 
 def _missing_force(fitter: Fitter, base: Fitted) -> _MissingForce:
-    trusting = comparing(fitter, base)
-    gap = force_gap(fitter, base, base.model, base.u, trusting)
+    trusting = reference_process_noise(fitter, base)
+    gap = force_gap(fitter, base, base.model, base.theta, trusting)
     return _MissingForce(gap, force_noise(fitter, uncoupled(fitter, base), trusting))
 
 
@@ -219,31 +227,33 @@ def _located(logged: Logged, missing: _MissingForce, lead: float | None, others:
 
 def _is_lacking(fitter: Fitter, found: Explanation, verdict: Verdict) -> bool:
     """Whether something is left, and nothing that was found is believed."""
-    return verdict.verdict == "unknown" and not complete(fitter, found.best)
+    return verdict.verdict == "unknown" and not is_complete(fitter, found.best)
 
 
 def _needed(fitter: Fitter, found: Explanation) -> float:
     """The evidence that one more effect must bring to be looked for, and believed."""
-    return max(LACKING, evidence_needed(fitter, found.base, found.best, complete(fitter, found.best), ()))
+    return max(LACKING, evidence_needed(fitter, found.base, found.best, is_complete(fitter, found.best), ()))
 
 
-def _closed(rungs: list[Rung], rate: float) -> Closed | None:
-    return closed(rungs[1], rungs[-1], rate) if len(rungs) > 2 else None
+def _closed(comparisons: list[ModelComparison], rate: float) -> GapReduction | None:
+    return gap_reduction(comparisons[1], comparisons[-1], rate) if len(comparisons) > 2 else None
 
 
 def _credible(verdict: Verdict, best: Fitted) -> Verdict:
     """No sure cause beside a number that no machine of this drive file has."""
-    if verdict.verdict != "effect" or credible(best):
+    if verdict.verdict != "effect" or is_plausible(best):
         return verdict
-    return verdict.doubted(f"{furthest(best, SLIDING)}, which cannot be: something else acts as well, or instead")
+    return verdict.downgraded(
+        f"{largest_deviation_says(best, SLIDING)}, which cannot be: something else acts as well, or instead"
+    )
 
 
-def _within(verdict: Verdict, lacks: list[Shortcoming]) -> Verdict:
+def _within(verdict: Verdict, excitation_deficits: list[ExcitationDeficit]) -> Verdict:
     """No sure cause from logs that cannot tell it."""
-    if not lacks:
+    if not excitation_deficits:
         return verdict
-    says = "; ".join(f"{one.why}: {one.what} cannot be decided, log {one.motion}" for one in lacks)
-    return verdict.doubted(says) if verdict.beliefs else verdict._replace(verdict="unknown", says=says)
+    says = "; ".join(f"{one.why}: {one.what} cannot be decided, log {one.motion}" for one in excitation_deficits)
+    return verdict.downgraded(says) if verdict.beliefs else verdict._replace(verdict="unknown", says=says)
 
 
 def _subsystems(found: Explanation, unexplained: float) -> list[Region]:
@@ -273,9 +283,9 @@ def _subsystems(found: Explanation, unexplained: float) -> list[Region]:
     return regions
 
 
-def _signals(rungs: list[Rung]) -> list[Region]:
+def _signals(comparisons: list[ModelComparison]) -> list[Region]:
     """Whether the gap shows in the position or, behind a stiff loop, in the command; no chance is known of that."""
-    loop = rungs[1].loop
+    loop = comparisons[1].loop
     if loop is None or loop.says:
         return []
     floors = np.array([loop.position_floor, loop.command_floor])

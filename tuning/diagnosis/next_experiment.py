@@ -63,8 +63,8 @@ def next_experiment(found: Diagnosis, description: Axis) -> Experiment:
     """The motion that tells a cause that was found from its nearest rival best, or that shows more of the gap."""
     verdict = found.verdict
     causes = [one for one in verdict.beliefs if one.found]
-    if found.lacks:
-        return Experiment("", [], 0.0, f"log {found.lacks[0].motion}")
+    if found.excitation_deficits:
+        return Experiment("", [], 0.0, f"log {found.excitation_deficits[0].motion}")
     if verdict.verdict == "none":
         return Experiment("", [], 0.0, "nothing is left to decide")
     if verdict.verdict == "unknown" and not causes and verdict.unexplained == 0.0:
@@ -159,7 +159,7 @@ def _exciting(found: Diagnosis, description: Axis) -> Experiment:
     limits = description.limits
     counted = np.asarray(found.logged.lanes.counts) > 0
     position = np.asarray(found.logged.lanes.position)[counted]
-    speeds = np.abs(np.asarray(found.gap.course.velocity)[counted])
+    speeds = np.abs(np.asarray(found.gap.trajectory.velocity)[counted])
     moving = speeds[speeds > min(MOVING, 0.5 * float(np.max(speeds, initial=0.0)))]
     speed = np.percentile(moving, 95) if moving.size else limits.speed
     at = _Axis(
@@ -235,10 +235,10 @@ def _told(truth: Fitted, rival: Fitted, description: Axis, inputs: Inputs, steps
     flat = jnp.zeros(lanes.position.shape[1])
     costs = []
     for one in (truth, rival):
-        model, u = _alone(one, fitter.logged)
-        course = jax.tree.map(lambda _: flat[None], one.track.course)._replace(position=lanes.position)
-        start = fitter.at(model, u, truth.process, course)
-        costs.append(fitter.fit(model, u, truth.process, start.track.course, steps).cost)
+        model, theta = _alone(one, fitter.logged)
+        trajectory = jax.tree.map(lambda _: flat[None], one.filtered.trajectory)._replace(position=lanes.position)
+        start = fitter.at(model, theta, truth.process_noise, trajectory)
+        costs.append(fitter.fit(model, theta, truth.process_noise, start.filtered.trajectory, steps).cost)
     return costs[1] - costs[0] if np.all(np.isfinite(costs)) else 0.0
 
 
@@ -247,4 +247,4 @@ def _alone(fitted: Fitted, logged: Logged) -> tuple[Model, np.ndarray]:
     model = dataclasses.replace(fitted.model, logged=logged)
     kept = [log is None or log == 0 for _, _, log in fitted.model.slots]
     calibration = fitted.model.size - len(kept)
-    return model, np.r_[fitted.u[:calibration], fitted.u[calibration:][kept]]
+    return model, np.r_[fitted.theta[:calibration], fitted.theta[calibration:][kept]]

@@ -22,14 +22,14 @@ from tuning.diagnosis.hypotheses.model import Member, Model, counted_in
 from tuning.diagnosis.hypotheses.priors import Parameter
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.selection.screening import begin
-from tuning.diagnosis.selection.search import standing
+from tuning.diagnosis.selection.search import initial_trajectory
 from tuning.identification.problem import MIN_LANE_SAMPLES
 
-LASTING = 5.0  # s
+DISTURBANCE_TIME = 5.0  # s
 AWAY = 10.0  # standard deviations of its prior: a time out there, such as that of a load that is never taken off, stays
 
 
-def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
+def registered(drive: Drive, log: Log, seconds: float = DISTURBANCE_TIME) -> Drive:
     """`drive` with the session parameters of its effects, and a constant force, from the first seconds of `log`.
 
     Raises `LogError` for a log without a long enough piece, in those seconds or at all.
@@ -41,7 +41,7 @@ def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
         raise LogError(f"{log.name}: no stretch of {MIN_LANE_SAMPLES} samples without a gap in its first {seconds:g} s")
     at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning, logged.starts)
     known = {one.name: one for one in candidates(at)}
-    model, u = Model(logged), np.zeros(len(NAMES))
+    model, theta = Model(logged), np.zeros(len(NAMES))
     mine = [counted_in(one, logged.thinning) for one in drive.effects]
     effects = [one for one in mine if not isinstance(one, ConstantForce)]
     offset = sum(float(one.force) for one in drive.effects if isinstance(one, ConstantForce))
@@ -59,7 +59,7 @@ def registered(drive: Drive, log: Log, seconds: float = LASTING) -> Drive:
         fixed = tuple((name, float(value[0])) for name, value in values.items() if name not in {p.name for p in free})
         member = Member(candidate._replace(parameters=free), fixed)
         model = dataclasses.replace(model, members=(*model.members, member))
-        u = np.r_[u, begin(model, values)]
+        theta = np.r_[theta, begin(model, values)]
     free = np.r_[np.zeros(len(NAMES)), np.ones(model.size - len(NAMES))]
-    found = Fitter(logged).fit(model, u, None, standing(logged), free=free)
+    found = Fitter(logged).fit(model, theta, None, initial_trajectory(logged), free=free)
     return jax.tree.map(float, drive_of(found, 0))

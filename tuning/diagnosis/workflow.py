@@ -25,11 +25,11 @@ from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.diagnose import diagnose as diagnose_drive
 from tuning.diagnosis.gap.gap import drive_of
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
-from tuning.diagnosis.judgement.held_out import Closed
+from tuning.diagnosis.judgement.held_out import GapReduction
 from tuning.diagnosis.judgement.verdict import UNSURE, Belief
 from tuning.diagnosis.next_experiment import Experiment, next_experiment
 from tuning.diagnosis.selection.explain import MOST_EFFECTS
-from tuning.diagnosis.selection.stages import Stage, untold
+from tuning.diagnosis.selection.stages import Stage, unheard
 from tuning.identification.scale_noise import unstated_noise
 from tuning.progress import Progress, reporting
 from tuning.store.folder import FolderStore
@@ -71,7 +71,7 @@ class DiagnosisResult(Result):
     verdict: str
     says: str
     causes: tuple[Cause, ...]
-    closed: Closed | None
+    closed: GapReduction | None
     axis: Axis | None
     next_motion: Experiment
     details: Mapping[str, Any]
@@ -155,7 +155,7 @@ def diagnose(
     with reporting(progress) as tell:
         found = diagnose_checked(
             axis, used, without=without, most_effects=most_effects, tolerance=tolerance, store=FolderStore.of(resume),
-            progress=tell, tell=on_stage or untold,
+            progress=tell, tell=on_stage or unheard,
         )  # fmt: skip
         tell("looking for the motion that would decide", 0, 1)
         offer = next_motion_of(axis, used, found)
@@ -268,7 +268,7 @@ def downgrade(found: Diagnosis, fatal: Fatal) -> Diagnosis:
         return dataclasses.replace(found, verdict=found.verdict._replace(verdict="unknown", says=says))
     if _unexplained(found, [(log, first)]):
         message = f"{message}. No confidence is above {UNSURE} before that is corrected: {first.remedy}"
-        return dataclasses.replace(found, verdict=found.verdict.doubted(message))
+        return dataclasses.replace(found, verdict=found.verdict.downgraded(message))
     message = f"the {first.resembles} may be the log's or the drive file's rather than the machine's: {message}"
     return dataclasses.replace(found, verdict=found.verdict.and_says(message))
 
@@ -289,7 +289,7 @@ def _most_urgent(found: Diagnosis, fatal: Fatal) -> tuple[str, Finding]:
 
 def _fitted_amount(belief: Belief, thinning: int) -> float | None:
     """The gain, or the delay in control periods; None of other effects."""
-    values = belief.fitted.model.values(belief.fitted.u)[-1]
+    values = belief.fitted.model.values(belief.fitted.theta)[-1]
     if belief.effect == LoopDelay.name:
         return thinning * float(values["delay"][0])
     return float(values["gain"][0]) if belief.effect == ForceGain.name else None

@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tuning.diagnosis.filter.following import Slopes
+from tuning.diagnosis.filter.ekf import StepJacobians
 from tuning.diagnosis.fits.differences import by_numbers
 from tuning.diagnosis.fits.fitting import Fitter, Point
 from tuning.diagnosis.hypotheses.calibration import NAMES
@@ -21,15 +21,17 @@ class OneMassFitter(Fitter):
     """Fits hypotheses about the same logs; derivatives beside a screw are those of one mass."""
 
     def jacobian(
-        self, model: Model, point: Point, linear: Slopes | None = None, free: Vector | bool = True
+        self, model: Model, point: Point, linear: StepJacobians | None = None, free: Vector | bool = True
     ) -> Float[np.ndarray, "m k"]:
         if not (model.coupled and model.screw):
             return super().jacobian(model, point, linear, free)
         within = stepped_within(model)
         loose = dataclasses.replace(model, members=tuple(one for one in model.members if not one.candidate.coupled))
-        there = point._replace(u=point.u[~within])
+        there = point._replace(theta=point.theta[~within])
         wanted = within & np.broadcast_to(np.asarray(free, bool), model.size)
-        found = by_numbers(model, point.u, point.process, point.track, point.course, np.flatnonzero(wanted))
+        found = by_numbers(
+            model, point.theta, point.process_noise, point.filtered, point.trajectory, np.flatnonzero(wanted)
+        )
         found = self.residuals(point)[1][:, None] * found
         found[:, ~within] = super().jacobian(loose, there, linear)
         return found

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from tuning.diagnosis.fits.fitting import Fitted, Fitter
-from tuning.diagnosis.fits.leftover import complete, relevant_forces
+from tuning.diagnosis.fits.goodness_of_fit import is_complete, relevant_forces
 from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.setting import Setting
-from tuning.diagnosis.selection.leading import led_on, possible, renamed
+from tuning.diagnosis.selection.refit import possible, refit_rivals, renamed
 from tuning.diagnosis.selection.screening import TRIED, begin, joined
 from tuning.hypotheses.screws import places, refined
 from tuning.hypotheses.table import Entry, entries, grid, table_of
@@ -73,14 +73,14 @@ def search(
     while len(rounds) < most:
         needed = _needed(begun, best)
         looked = look(fitter, best, best.fitted, catalogue, at, say)
-        if rounds and best.fitted.model.coarse and not complete(fitter, best.fitted):
+        if rounds and best.fitted.model.coarse and not is_complete(fitter, best.fitted):
             for beside in possible([_as_in_table(fitter, rounds[-1], best.fitted)]):
                 looked = min(looked, look(fitter, best, beside, catalogue, at, say), key=_unlikelihood)
         rounds.append(looked)
         if not looked.fits:
             break
         other = judged(fitter, looked.fits[0], at)
-        enough = NEEDED if complete(fitter, other.fitted) else needed
+        enough = NEEDED if is_complete(fitter, other.fitted) else needed
         if min(best.plain - other.plain, best.free - other.free) < enough:
             break
         best = other
@@ -98,8 +98,8 @@ def _as_in_table(fitter: Fitter, looked: Looked, best: Fitted) -> Fitted:
     """
     kind = best.model.members[-1].candidate.kind
     entry = next(one for one in looked.entries if one.candidate.kind == kind)
-    u = np.r_[entry.rest, begin(best.model, entry.values)]
-    return fitter.fit(best.model, u, best.process, best.track.course, most=0)
+    theta = np.r_[entry.rest, begin(best.model, entry.values)]
+    return fitter.fit(best.model, theta, best.process_noise, best.filtered.trajectory, most=0)
 
 
 def _needed(base: Judged, best: Judged) -> float:
@@ -109,8 +109,8 @@ def _needed(base: Judged, best: Judged) -> float:
 
 def trusting(fitter: Fitter, fitted: Fitted, share: float) -> Fitted:
     """The fit in a filter that may invent that share of its forces; not less than what counts as nothing missing."""
-    least = np.minimum(relevant_forces(fitter, fitted), fitted.process)
-    return fitter.under(fitted, np.maximum(share * fitted.process, least))
+    least = np.minimum(relevant_forces(fitter, fitted), fitted.process_noise)
+    return fitter.under(fitted, np.maximum(share * fitted.process_noise, least))
 
 
 def judged(fitter: Fitter, fitted: Fitted, at: Setting) -> Judged:
@@ -146,7 +146,7 @@ def look(
     say("fitting")
     promising = sorted(_near(found)[:FITTED], key=lambda one: not one.candidate.coupled)
     fits = in_parallel(lambda one: fit_of(fitter, start, one), promising)
-    return Looked(before, found, led_on(fitter, fits))
+    return Looked(before, found, refit_rivals(fitter, fits))
 
 
 def _near(found: Sequence[Entry]) -> list[Entry]:
@@ -168,9 +168,9 @@ def fit_of(fitter: Fitter, before: Fitted, found: Entry) -> Fitted:
     """From what the table has; what was free before moved along, as it was, or as the drive file has it."""
     model = joined(before.model, found.candidate, found.values)
     own = begin(model, found.values)
-    nominal = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
-    rests = [found.rest, before.u] if found.candidate.coupled else [found.rest, before.u, nominal]
-    begun = [fitter.at(model, np.r_[rest, own], before.process, before.track.course) for rest in rests]
-    begun = [fitter.with_process(one, model, before.process * TRIED) for one in begun]
+    nominal = np.r_[np.zeros(len(NAMES)), before.theta[len(NAMES) :]]
+    rests = [found.rest, before.theta] if found.candidate.coupled else [found.rest, before.theta, nominal]
+    begun = [fitter.at(model, np.r_[rest, own], before.process_noise, before.filtered.trajectory) for rest in rests]
+    begun = [fitter.with_process(one, model, before.process_noise * TRIED) for one in begun]
     there = min(begun, key=lambda one: one.cost)
-    return renamed(fitter, fitter.fit(model, there.u, there.process, there.track.course))
+    return renamed(fitter, fitter.fit(model, there.theta, there.process_noise, there.filtered.trajectory))

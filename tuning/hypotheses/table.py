@@ -26,7 +26,6 @@ from tuning.diagnosis.gap.dependence import SCALES, corner_answers, families
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.model import Vector
 from tuning.diagnosis.hypotheses.setting import Setting
-from tuning.diagnosis.selection.beginnings import looked_for
 from tuning.diagnosis.selection.screening import (
     DEARNESS,
     Values,
@@ -35,6 +34,7 @@ from tuning.diagnosis.selection.screening import (
     sensitivities,
     sensitivities_of_one_mass,
 )
+from tuning.diagnosis.selection.starting_points import starting_points
 
 PAST = "past commands"  # functions of these are what a delay or a lag does: beside them neither is worth anything
 
@@ -69,7 +69,7 @@ class Table:
 
     def _slope(self, residual: Float[np.ndarray, " m"]) -> Vector:
         found = self.known.T @ residual
-        found[: self.free] += self.fitted.u
+        found[: self.free] += self.fitted.theta
         return found
 
     def _whitened(self, right: Float[np.ndarray, "k ..."]) -> list[Float[np.ndarray, "k ..."]]:
@@ -158,7 +158,7 @@ def entries(fitter: Fitter, table: Table, candidate: Candidate, points: Sequence
 
 def grid(table: Table, candidate: Candidate) -> list[Values]:
     """Where an effect is looked for."""
-    return looked_for(table.fitted, candidate)
+    return starting_points(table.fitted, candidate)
 
 
 def _by_amount(table: Table, candidate: Candidate, points: Sequence[Values]) -> list[Entry]:
@@ -176,7 +176,7 @@ def _by_amount(table: Table, candidate: Candidate, points: Sequence[Values]) -> 
         for (one, log), amount in zip(of, amounts, strict=True):
             row = full.setdefault(one.name, np.zeros(table.fitted.model.logged.logs))
             row[slice(None) if log is None else log] = amount * one.spread
-        found.append(Entry(candidate, full, evidence, table.fitted.u + moved))
+        found.append(Entry(candidate, full, evidence, table.fitted.theta + moved))
     return found
 
 
@@ -184,8 +184,8 @@ def by_change(fitter: Fitter, table: Table, candidate: Candidate, values: Values
     """Of an effect that is not linear in its size, by a filter that has it."""
     fitted, model = table.fitted, joined(table.fitted.model, candidate, values)
     own = begin(model, values)
-    point = fitter.at(model, np.r_[fitted.u, own], fitted.process, fitted.track.course)
+    point = fitter.at(model, np.r_[fitted.theta, own], fitted.process_noise, fitted.filtered.trajectory)
     if not np.isfinite(point.cost):
-        return Entry(candidate, values, -np.inf, fitted.u)
+        return Entry(candidate, values, -np.inf, fitted.theta)
     evidence, moved = table.of_change(fitter.residuals(point)[0], point.cost)
-    return Entry(candidate, values, evidence - DEARNESS * own.size, fitted.u + moved)
+    return Entry(candidate, values, evidence - DEARNESS * own.size, fitted.theta + moved)

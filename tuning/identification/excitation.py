@@ -18,7 +18,7 @@ from tuning.identification.inverse_dynamics import MIN_SPEED
 from tuning.identification.problem import lanes_of, noise_floor
 from tuning.identification.regressors import DIRECTIONAL
 from tuning.identification.seed import SIGNIFICANT
-from tuning.identification.shown_motion import Shortcoming, shown_velocity
+from tuning.identification.shown_motion import ExcitationDeficit, shown_velocity
 
 SHORTEST = 1.0  # s of motion
 ONE_WAY = 0.02  # of the motion, less than which the other way is none
@@ -73,7 +73,7 @@ def shown_motion(logs: Sequence[Log], drive: Drive) -> ShownMotion:
     return ShownMotion(window, velocity[counts[:, window:] & (np.abs(velocity) > slowest)], slowest, rate)
 
 
-def shortcomings(logs: Sequence[Log], drive: Drive, fixed: Collection[str] = ()) -> list[Shortcoming]:
+def shortcomings(logs: Sequence[Log], drive: Drive, fixed: Collection[str] = ()) -> list[ExcitationDeficit]:
     """What these logs do not determine of a drive, why, and the motion that would; empty where nothing is missing.
 
     `fixed` names unknowns that are held, of which nothing is asked. Raises `LogError` where no log can be used.
@@ -81,7 +81,7 @@ def shortcomings(logs: Sequence[Log], drive: Drive, fixed: Collection[str] = ())
     shown = shown_motion(logs, drive)
     if len(shown.velocity) < shown.window:  # any motion shows for as long as the velocity is differenced over
         return [
-            Shortcoming(
+            ExcitationDeficit(
                 "mass and friction",
                 f"the table is nowhere faster than the {1e3 * shown.slowest:.2g} mm/s that would stand out from noise",
                 "a faster motion to and fro, at two speeds at least",
@@ -91,33 +91,33 @@ def shortcomings(logs: Sequence[Log], drive: Drive, fixed: Collection[str] = ())
     return [*found, *_no_inertia(logs, drive, fixed)]
 
 
-def _short(shown: ShownMotion) -> list[Shortcoming]:
+def _short(shown: ShownMotion) -> list[ExcitationDeficit]:
     if shown.seconds >= SHORTEST:
         return []
     why = f"the table moves for {shown.seconds:.2g} s only"
-    return [Shortcoming("mass and friction", why, "several seconds of motion to and fro, with pauses")]
+    return [ExcitationDeficit("mass and friction", why, "several seconds of motion to and fro, with pauses")]
 
 
-def _one_way(shown: ShownMotion) -> list[Shortcoming]:
+def _one_way(shown: ShownMotion) -> list[ExcitationDeficit]:
     forwards = shown.share_forwards
     if min(forwards, 1.0 - forwards) >= ONE_WAY:
         return []
     way, other = ("forwards", "backwards") if forwards > 0.5 else ("backwards", "forwards")
     return [
-        Shortcoming(
+        ExcitationDeficit(
             f"friction {other}, and a constant force beside friction", f"the table moves {way} only",
             "the same motion to and fro",
         )
     ]  # fmt: skip
 
 
-def _one_speed(shown: ShownMotion, fixed: Collection[str]) -> list[Shortcoming]:
+def _one_speed(shown: ShownMotion, fixed: Collection[str]) -> list[ExcitationDeficit]:
     slow, fast = shown.speeds
     if fast >= SPEEDS * slow or not {"viscous", "coulomb"}.isdisjoint(fixed):
         return []
     speed = float(np.median(np.abs(shown.velocity)))
     return [
-        Shortcoming(
+        ExcitationDeficit(
             "viscous and Coulomb friction apart but by starts and reversals: of steady sliding, only their sum at "
             f"{1e3 * speed:.3g} mm/s",
             "the table runs at one speed",
@@ -126,7 +126,7 @@ def _one_speed(shown: ShownMotion, fixed: Collection[str]) -> list[Shortcoming]:
     ]
 
 
-def _no_slow_part(shown: ShownMotion, drive: Drive, fixed: Collection[str]) -> list[Shortcoming]:
+def _no_slow_part(shown: ShownMotion, drive: Drive, fixed: Collection[str]) -> list[ExcitationDeficit]:
     """No sliding at speeds at which friction falls, although a scale as good as this one would show it."""
     pair = drive.friction.stribeck_velocity
     falls = FLAT * max(float(pair.positive), float(pair.negative))
@@ -136,7 +136,7 @@ def _no_slow_part(shown: ShownMotion, drive: Drive, fixed: Collection[str]) -> l
         return []
     slowest = float(np.min(np.abs(shown.velocity)))
     return [
-        Shortcoming(
+        ExcitationDeficit(
             "the Stribeck curve: breakaway_gap and stribeck_velocity",
             f"the table slides at {1e3 * slowest:.3g} mm/s and more, where the drive file's curve is flat",
             f"strokes at {1e3 * falls / FLAT:.2g} mm/s, and reversals",
@@ -144,7 +144,7 @@ def _no_slow_part(shown: ShownMotion, drive: Drive, fixed: Collection[str]) -> l
     ]
 
 
-def _no_inertia(logs: Sequence[Log], drive: Drive, fixed: Collection[str]) -> list[Shortcoming]:
+def _no_inertia(logs: Sequence[Log], drive: Drive, fixed: Collection[str]) -> list[ExcitationDeficit]:
     """A mass that least squares on inverse dynamics does not find two standard errors from zero."""
     if "mass" in fixed:
         return []
@@ -158,7 +158,7 @@ def _no_inertia(logs: Sequence[Log], drive: Drive, fixed: Collection[str]) -> li
     largest = max(float(np.max(np.abs(piece.acceleration[piece.used]), initial=0.0)) for piece in pieces)
     enough = float(drive.friction.coulomb_at(found.load).positive) / float(drive.plant.mass)
     return [
-        Shortcoming(
+        ExcitationDeficit(
             "mass",
             f"at {largest:.2g} m/s2 and less its force does not stand out from what friction leaves over",
             f"accelerations of {enough:.2g} m/s2 and more, at which inertia is as large as friction",

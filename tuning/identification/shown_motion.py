@@ -13,7 +13,7 @@ SLOW = 0.1  # of the 95th percentile of speed, which counts as motion where that
 CHATTER = 4.0  # standard deviations of the measured velocity, below which nothing says that the table moves
 
 
-class Shortcoming(NamedTuple):
+class ExcitationDeficit(NamedTuple):
     """Something that the logs do not determine, why, and the motion that would."""
 
     what: str

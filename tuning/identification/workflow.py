@@ -26,7 +26,7 @@ from tuning.identification.parameters import without_side
 from tuning.identification.row_force import BetweenRows
 from tuning.identification.scale_noise import unstated_noise
 from tuning.identification.setup import held_unknowns
-from tuning.identification.shown_motion import Shortcoming
+from tuning.identification.shown_motion import ExcitationDeficit
 from tuning.identification.unknowns import Unknowns
 from tuning.optimisation.least_squares import Outcome
 from tuning.progress import Progress, reporting, searching
@@ -60,7 +60,7 @@ class IdentificationResult(Result):
     initial_axis: Axis  # before, as the logs show it
     status: Status
     doubts: tuple[str, ...] = ()  # what speaks against the answer of a search that converged
-    shortcomings: tuple[Shortcoming, ...] = ()  # what the logs could not determine, as judged before the fit
+    shortcomings: tuple[ExcitationDeficit, ...] = ()  # what the logs could not determine, as judged before the fit
 
     schema: ClassVar[str] = "identification/1"
 
@@ -254,7 +254,7 @@ def _result(
     found: Identification,
     used: CheckedLogs,
     held_out: CheckedLogs,
-    deficits: Sequence[Shortcoming],
+    deficits: Sequence[ExcitationDeficit],
     selection: Sequence[str],
 ) -> IdentificationResult:
     """The result, with what is to be said of it; `seen` is the axis as its logs show it, `used` what was fitted."""
@@ -291,7 +291,7 @@ def _of_faster_loop(axis: Axis, samples: int) -> Axis:
 def _status(
     found: Identification,
     against: Sequence[str],
-    deficits: Sequence[Shortcoming],
+    deficits: Sequence[ExcitationDeficit],
     sums: Sequence[DeterminedSum],
 ) -> Status:
     """Converged and no more only where nothing speaks against the answer and the logs determine what was asked."""

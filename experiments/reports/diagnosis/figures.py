@@ -11,7 +11,7 @@ from diffdrive.logs import Log
 from experiments.reports.report import Report, new_figure
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.gap.where import SIGNIFICANT
-from tuning.diagnosis.judgement.ladder import Rung
+from tuning.diagnosis.judgement.ladder import ModelComparison
 
 MOST_POINTS = 6000  # of a signal in a figure
 REGIONS, CAUSES = 12, 8
@@ -31,9 +31,9 @@ def save_diagnosis_figures(report: Report, found: Diagnosis, logs: Sequence[Log]
 
 def _ladder(found: Diagnosis) -> Figure:
     """The gap of each model on held-out data, against the floor: the missing force and, simulated, the closed loop."""
-    rms = np.array([rung.force.rms if rung.force.told else np.nan for rung in found.rungs])
-    spread = np.abs(np.array([rung.interval for rung in found.rungs]).T - rms)
-    loops = [rung.loop for rung in found.rungs if rung.loop is not None]
+    rms = np.array([comparison.force.rms if comparison.force.told else np.nan for comparison in found.comparisons])
+    spread = np.abs(np.array([comparison.interval for comparison in found.comparisons]).T - rms)
+    loops = [comparison.loop for comparison in found.comparisons if comparison.loop is not None]
     simulated = [one for one in loops if not one.says]
     figure, axes = new_figure(1, 3 if simulated else 1, width=11.0 if simulated else 6.0, height=3.4, share_x=False)
     axes = np.atleast_1d(axes)
@@ -44,7 +44,9 @@ def _ladder(found: Diagnosis) -> Figure:
         axis.set_title(f"{signal} in closed loop, {unit} RMS", fontsize="medium")
         _points(axis, np.array(of_loops), scale * getattr(simulated[-1], f"{signal}_floor"), "runs away")
     for axis in axes:
-        axis.set_xticks(np.arange(len(rms)), [rung.name for rung in found.rungs], rotation=20, ha="right")
+        axis.set_xticks(
+            np.arange(len(rms)), [comparison.name for comparison in found.comparisons], rotation=20, ha="right"
+        )
         axis.set_xlim(-0.5, len(rms) - 0.5)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right")
     figure.suptitle(f"The gap, {found.split.says}", x=0.01, ha="left")
@@ -77,12 +79,12 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Figure:
     figure, axes = new_figure(2 if repeats is None else 3, 1, width=11.0, height=2.8, share_x=False)
     lanes = [lane for lane, owner in enumerate(found.logged.owner) if owner == log]
     rate, starts = found.logged.sampling.rate, np.asarray(found.logged.starts)
-    for rung, label, color in (one for one in _first_and_last(found.rungs) if one[0].force.told):
+    for comparison, label, color in (one for one in _first_and_last(found.comparisons) if one[0].force.told):
         for lane in lanes:
-            counts = rung.force.counts[lane] > 0
+            counts = comparison.force.counts[lane] > 0
             every = max(1, counts.size // MOST_POINTS)
-            force = np.where(counts, rung.force.force[lane], np.nan)[::every]
-            position = 1e3 * np.asarray(rung.force.course.position[lane])[::every]
+            force = np.where(counts, comparison.force.force[lane], np.nan)[::every]
+            position = 1e3 * np.asarray(comparison.force.trajectory.position[lane])[::every]
             time = starts[lane] + np.arange(counts.size)[::every] / rate
             axes[0].plot(time, force, color=color, linewidth=0.8, label=label if lane == lanes[0] else None)
             axes[1].plot(position, force, ".", color=color, markersize=1.5)
@@ -102,7 +104,7 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Figure:
 def _period(found: Diagnosis, log: int) -> tuple[float, str] | None:
     """The travel (mm) after which the first effect found that repeats does so, and its name."""
     model = found.found.model
-    added = list(zip(model.members, model.values(found.found.u), strict=True))[len(model.members) - model.added :]
+    added = list(zip(model.members, model.values(found.found.theta), strict=True))[len(model.members) - model.added :]
     for member, values in added:
         for name in ("period", "lead"):
             if name in values:
@@ -110,10 +112,10 @@ def _period(found: Diagnosis, log: int) -> tuple[float, str] | None:
     return None
 
 
-def _first_and_last(rungs: Sequence[Rung]) -> list[tuple[Rung, str, str]]:
+def _first_and_last(comparisons: Sequence[ModelComparison]) -> list[tuple[ModelComparison, str, str]]:
     """Recalibrated and, if there is anything, with what was found: each with its label and colour."""
-    last = [(rungs[-1], "with what was found", AFTER)] if len(rungs) > 2 else []
-    return [(rungs[1], "recalibrated", BEFORE), *last]
+    last = [(comparisons[-1], "with what was found", AFTER)] if len(comparisons) > 2 else []
+    return [(comparisons[1], "recalibrated", BEFORE), *last]
 
 
 def _where(found: Diagnosis) -> Figure:

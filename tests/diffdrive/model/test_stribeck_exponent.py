@@ -163,7 +163,7 @@ def test_a_curve_of_another_exponent_is_found_by_its_name():
     number = len(NAMES) + [name for _, name, _ in best.model.slots].index("stribeck_exponent")
     known = {one.name: one for one in best.model.members[0].candidate.parameters}["stribeck_exponent"]
     spread = known.spread * float(np.sqrt(np.linalg.inv(best.hessian)[number, number]))
-    value = known.value(float(best.u[number]))
+    value = known.value(float(best.theta[number]))
     assert spread < 0.1
     assert abs(value - np.log(2.0)) < 4 * spread
 

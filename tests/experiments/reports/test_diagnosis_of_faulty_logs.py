@@ -104,7 +104,7 @@ def test_an_effect_that_a_fatal_finding_resembles_is_told_to_be_the_logs_perhaps
     """In kind and in size: what the log's fault would not look like is another matter."""
     finding = Finding("fatal", "command", "one sample late", "shift it", "shifted", resembles=resembles, amount=amount)
     fatal = [("lap", finding)]
-    late = SimpleNamespace(model=SimpleNamespace(values=lambda u: [{"delay": np.array([-1.1])}]), u=None)
+    late = SimpleNamespace(model=SimpleNamespace(values=lambda _: [{"delay": np.array([-1.1])}]), theta=None)
     belief = constant_force_diagnosis.verdict.beliefs[0]._replace(effect="loop_delay", confidence=0.9, fitted=late)
     found = dataclasses.replace(
         constant_force_diagnosis, verdict=constant_force_diagnosis.verdict._replace(beliefs=[belief])

@@ -34,12 +34,12 @@ def test_observers_of_the_augmented_drive_believe_what_was_found(tmp_path):
     given = axis_of("pd+fc+ls")
     heavier = dataclasses.replace(given.drive.plant, mass=123.0)
     found = dataclasses.replace(given.drive, plant=heavier, effects=(ConstantForce(6.0),))
-    doubted = SimpleNamespace(
+    downgraded = SimpleNamespace(
         verdict="unknown", says="much\nis left", axis=dataclasses.replace(given, drive=found),
         details={"searched": True, "scale_noise": "Write more noise."},
     )  # fmt: skip
     with Report("augmented", tmp_path, Console(quiet=True)) as report:
-        assert write_augmented(report, doubted) == "augmented.toml"
+        assert write_augmented(report, downgraded) == "augmented.toml"
     begins = (tmp_path / "augmented.toml").read_text().splitlines()[:2]
     assert begins == ["# the verdict of the diagnosis was unknown: much is left", "# Write more noise."]
     written = read_axis(tmp_path / "augmented.toml")
@@ -50,9 +50,9 @@ def test_observers_of_the_augmented_drive_believe_what_was_found(tmp_path):
 
 
 def with_rung(found, number, **changes):
-    rungs = list(found.rungs)
-    rungs[number] = rungs[number]._replace(**changes)
-    return dataclasses.replace(found, rungs=rungs)
+    comparisons = list(found.comparisons)
+    comparisons[number] = comparisons[number]._replace(**changes)
+    return dataclasses.replace(found, comparisons=comparisons)
 
 
 def with_second(found):
@@ -64,15 +64,15 @@ def with_second(found):
         if one.name == "friction_asymmetry"
     )
     model = Model(logged, (*alone.model.members, Member(other)), alone.model.prior)
-    u = np.r_[alone.u[:-1], alone.u[-1] + 0.5, 0.3, -0.2]
-    joint = Fitter(logged).fit(model, u, alone.process, alone.track.course, most=0)
+    theta = np.r_[alone.theta[:-1], alone.theta[-1] + 0.5, 0.3, -0.2]
+    joint = Fitter(logged).fit(model, theta, alone.process_noise, alone.filtered.trajectory, most=0)
     first = found.verdict.beliefs[0]
     beliefs = [first, first._replace(effect=other.name, round=1, fitted=joint)]
     return dataclasses.replace(
         found,
         explanation=found.explanation._replace(best=joint),
         verdict=found.verdict._replace(beliefs=beliefs),
-        rungs=[*found.rungs, found.rungs[-1]._replace(name=f"+ {other.name}", fitted=joint)],
+        comparisons=[*found.comparisons, found.comparisons[-1]._replace(name=f"+ {other.name}", fitted=joint)],
     )
 
 
@@ -101,7 +101,7 @@ def section(page, begin):
 
 @pytest.mark.long
 def test_the_page_and_the_json_say_how_far_the_gap_shrinks(constant_force_diagnosis, command_for):
-    nominal = constant_force_diagnosis.rungs[0]  # as if recalibration had explained nothing
+    nominal = constant_force_diagnosis.comparisons[0]  # as if recalibration had explained nothing
     told, out = command_for(with_rung(constant_force_diagnosis, 1, force=nominal.force, interval=nominal.interval))
     last, (low, high) = told["ladder"][-1], told["closed"]["interval"]
     assert last["force_floor_N"] == constant_force_diagnosis.floor
@@ -231,7 +231,7 @@ def test_the_recalibrated_parameters_are_told_with_their_intervals(constant_forc
     stiffness = rows["bristle_stiffness.negative"]
     assert float(drive.friction.bristle_stiffness.negative) == pytest.approx(stiffness["with_effects"])
     assert rows["mass"]["recalibrated"] == pytest.approx(
-        float(constant_force_diagnosis.explanation.base.own.plant.mass)
+        float(constant_force_diagnosis.explanation.base.recalibrated_drive.plant.mass)
     )
     text = section((out / "report.html").read_text(), "3.")
     row = re.search(r"<td>mass</td><td>kg</td><td>100</td>((<td>[^<]+</td>){3})", text)
@@ -256,7 +256,7 @@ def test_a_simulation_that_runs_away_is_told_with_its_reason(constant_force_diag
 @pytest.mark.long
 def test_a_force_that_a_lost_filter_saw_is_not_told(constant_force_diagnosis, command_for):
     """Neither of the nominal drive nor of the recalibrated one; with what was found the filter follows."""
-    lost = [constant_force_diagnosis.rungs[k].force._replace(lost=0.9) for k in range(2)]
+    lost = [constant_force_diagnosis.comparisons[k].force._replace(lost=0.9) for k in range(2)]
     told, out = command_for(with_rung(with_rung(constant_force_diagnosis, 0, force=lost[0]), 1, force=lost[1]))
     written = json.loads((out / "diagnosis.json").read_text())
     assert [one["force_rms_N"] for one in written["ladder"]] == [None, None, told["ladder"][2]["force_rms_N"]]
@@ -274,8 +274,8 @@ def test_a_force_that_a_lost_filter_saw_is_not_told(constant_force_diagnosis, co
 @pytest.mark.long
 def test_a_force_that_no_filter_could_tell_leaves_nothing_to_draw(constant_force_diagnosis, command_for):
     lost = constant_force_diagnosis
-    for number, rung in enumerate(constant_force_diagnosis.rungs):
-        lost = with_rung(lost, number, force=rung.force._replace(lost=0.9))
+    for number, comparison in enumerate(constant_force_diagnosis.comparisons):
+        lost = with_rung(lost, number, force=comparison.force._replace(lost=0.9))
     told, out = command_for(lost)
     assert told["gap"]["noise_floor_force_N"] is None
     assert told["closed"]["share"] is told["causes"][0]["held_out"]["shrink"] is None
@@ -286,8 +286,8 @@ def test_a_force_that_no_filter_could_tell_leaves_nothing_to_draw(constant_force
 @pytest.mark.long
 def test_what_is_no_finite_number_is_null(constant_force_diagnosis, command_for):
     """Of a filter that ran away, and of a parameter that the logs leave open."""
-    away = constant_force_diagnosis.rungs[0].force._replace(
-        force=np.full_like(constant_force_diagnosis.rungs[0].force.force, np.nan)
+    away = constant_force_diagnosis.comparisons[0].force._replace(
+        force=np.full_like(constant_force_diagnosis.comparisons[0].force.force, np.nan)
     )
     found = with_rung(constant_force_diagnosis, 0, force=away, interval=(np.nan, np.nan), shrink=(np.nan,) * 3)
     rival = found.verdict.beliefs[0]._replace(gain=-np.inf)
@@ -305,7 +305,7 @@ def test_what_is_no_finite_number_is_null(constant_force_diagnosis, command_for)
 @pytest.mark.long
 def test_without_a_controller_it_is_said_why_nothing_is_simulated(constant_force_diagnosis, command_for):
     found = dataclasses.replace(
-        constant_force_diagnosis, rungs=[one._replace(loop=None) for one in constant_force_diagnosis.rungs]
+        constant_force_diagnosis, comparisons=[one._replace(loop=None) for one in constant_force_diagnosis.comparisons]
     )
     told, out = command_for(found)
     assert "controller" in told["ladder"][0]["loop_says"]

@@ -22,20 +22,20 @@ from experiments.reports.report import Report
 from experiments.studies.withheld.score import score
 from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
 from tuning.diagnosis.diagnose import _credible, _within, diagnose, logged_of
-from tuning.diagnosis.filter.exposure import Course
-from tuning.diagnosis.fits.leftover import STRAINED
+from tuning.diagnosis.filter.effect_signals import Trajectory
+from tuning.diagnosis.fits.goodness_of_fit import STRAINED
 from tuning.diagnosis.gap.gap import ForceGap
 from tuning.diagnosis.gap.lines import lines_in_position, lines_in_time
 from tuning.diagnosis.gap.where import localise
 from tuning.diagnosis.hypotheses.calibration import LOGARITHMS, NAMES, calibrated, tolerated
-from tuning.diagnosis.hypotheses.coverage import shortcomings
+from tuning.diagnosis.hypotheses.excitation import excitation_deficits
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.judgement.verdict import Belief, Verdict
 from tuning.diagnosis.next_experiment import next_experiment
-from tuning.diagnosis.selection.beginnings import _window
+from tuning.diagnosis.selection.starting_points import _window
 from tuning.diagnosis.workflow import augmented_drive
 from tuning.experiment_design.next_motion import candidates
-from tuning.identification.shown_motion import Shortcoming
+from tuning.identification.shown_motion import ExcitationDeficit
 
 # how far the machine is from its file, but for constant force and delay
 OFF = np.append(np.random.default_rng(8).uniform(-0.02, 0.02, LOGARITHMS), [0.0, 0.0])
@@ -64,10 +64,10 @@ def tilted(tmp_path_factory):
 @pytest.mark.long
 def test_a_sound_machine_has_no_effect_and_no_gap_beyond_its_floor(sound):
     assert sound.verdict.verdict == "none"
-    recalibrated = sound.rungs[1]
+    recalibrated = sound.comparisons[1]
     assert recalibrated.force.rms == pytest.approx(sound.floor, rel=0.08)
     assert recalibrated.loop.position_rms == pytest.approx(recalibrated.loop.position_floor, rel=0.2)
-    assert sound.rungs[0].force.rms > 1.5 * sound.floor  # as the engineer believes it, it is off
+    assert sound.comparisons[0].force.rms > 1.5 * sound.floor  # as the engineer believes it, it is off
 
 
 @pytest.mark.long
@@ -122,7 +122,7 @@ def test_an_effect_that_is_not_considered_is_not_named():
     )
     assert found.verdict.verdict == "unknown"
     assert not any(one.found for one in found.verdict.beliefs)
-    moved = dict(zip(NAMES, found.explanation.base.u, strict=True))
+    moved = dict(zip(NAMES, found.explanation.base.theta, strict=True))
     assert moved["coulomb_screw.positive"] < 0.0 < moved["coulomb_screw.negative"]  # in its place, and as far
     assert abs(moved["coulomb_screw.negative"]) >= STRAINED
     assert "times its tolerance" in found.verdict.says
@@ -156,7 +156,7 @@ def test_an_effect_that_the_drive_has_already_is_not_missing():
     drive = dataclasses.replace(DRIVE.drive, effects=(ConstantForce(6.0),))
     found = diagnose(drive, DRIVE.controller, [log_of(ConstantForce(6.0))])
     assert found.verdict.verdict == "none"
-    assert found.rungs[1].force.rms == pytest.approx(found.floor, rel=0.08)
+    assert found.comparisons[1].force.rms == pytest.approx(found.floor, rel=0.08)
     assert "constant_force" not in [one.effect for one in found.verdict.beliefs]
     assert float(augmented_drive(found).effects[0].force) == 6.0
 
@@ -174,7 +174,7 @@ def shortcomings_of(position, command=None, drive=DRIVE.drive):
         load=np.zeros(n),
     )
     at = logged_of(drive, [flat])
-    return shortcomings(at, setting(at.drive, at.lanes, 1.0 / RATE))
+    return excitation_deficits(at, setting(at.drive, at.lanes, 1.0 / RATE))
 
 
 def lacks_of(*log, **given):
@@ -271,10 +271,10 @@ def test_a_log_that_cannot_tell_makes_every_cause_unsure():
     beliefs = [Belief("cogging", 0.9, True, 0, 50.0, None, []), Belief("backlash", 0.1, False, 0, 40.0, None, [])]
     verdict = Verdict("effect", beliefs, 0.0, "cogging explains the gap")
     assert _within(verdict, []) is verdict
-    doubted = _within(verdict, [Shortcoming("friction and mass", "it is short", "a longer motion")])
-    assert doubted.verdict == "unknown"
-    assert [one.confidence for one in doubted.beliefs] == [0.5, 0.1]
-    assert "log a longer motion" in doubted.says
+    downgraded = _within(verdict, [ExcitationDeficit("friction and mass", "it is short", "a longer motion")])
+    assert downgraded.verdict == "unknown"
+    assert [one.confidence for one in downgraded.beliefs] == [0.5, 0.1]
+    assert "log a longer motion" in downgraded.says
 
 
 @pytest.mark.parametrize(
@@ -284,7 +284,7 @@ def test_a_log_that_cannot_tell_makes_every_cause_unsure():
 def test_no_cause_is_sure_beside_a_number_that_cannot_be(name, moved, verdict):
     """What a sliding table tells; the bristle's numbers an effect before sliding may take over."""
     best = SimpleNamespace(
-        u=np.where(np.array(NAMES) == name, moved, 0.1), model=SimpleNamespace(prior=tolerated(0.02))
+        theta=np.where(np.array(NAMES) == name, moved, 0.1), model=SimpleNamespace(prior=tolerated(0.02))
     )
     believed = Verdict("effect", [Belief("backlash", 0.9, True, 0, 500.0, None, [])], 0.0, "backlash explains the gap")
     judged = _credible(believed, best)
@@ -295,8 +295,10 @@ def test_no_cause_is_sure_beside_a_number_that_cannot_be(name, moved, verdict):
 
 def gap_with(force, surprise, velocity, position):
     """A gap as `localise` takes it, of one lane."""
-    course = Course(*(np.asarray(one)[None] for one in (position, velocity, 0 * velocity, 0 * velocity, 0 * velocity)))
-    return ForceGap(force[None], course, surprise[None], np.ones((1, len(force))))
+    trajectory = Trajectory(
+        *(np.asarray(one)[None] for one in (position, velocity, 0 * velocity, 0 * velocity, 0 * velocity))
+    )
+    return ForceGap(force[None], trajectory, surprise[None], np.ones((1, len(force))))
 
 
 def test_the_place_of_a_gap_is_found_and_chance_is_not():

@@ -25,12 +25,12 @@ from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.gap.gap import drive_of, loop_gap
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidates import candidates
-from tuning.diagnosis.hypotheses.model import Member, Model, effect_in_lanes, exposed
+from tuning.diagnosis.hypotheses.model import Member, Model, effect_in_lanes, signals_along
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.judgement.verdict import _probabilities
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.diagnosis.selection.screening import begin, joined
-from tuning.diagnosis.selection.search import _screened, recalibrated, standing
+from tuning.diagnosis.selection.search import _screened, initial_trajectory, recalibrated
 
 
 def candidate_of(logs, name):
@@ -47,7 +47,9 @@ def test_time_goes_on_through_a_gap():
     whole = logged_of(DRIVE.drive, [SOUND])
     drift = {"viscous": np.array([0.4]), "time_constant": np.array([1.0])}
     in_pieces, in_one = (
-        exposed(each, as_arrays(DRIVE.drive), (effect_in_lanes(ViscousDrift, drift, each.owner),), standing(each))
+        signals_along(
+            each, as_arrays(DRIVE.drive), (effect_in_lanes(ViscousDrift, drift, each.owner),), initial_trajectory(each)
+        )
         for each in (logs, whole)
     )
     later = np.asarray(in_one.viscous)[0, 3000:5000]
@@ -116,8 +118,8 @@ def test_a_longer_delay_than_the_effect_can_hold_never_loses_the_force():
     fast = axis_of(rate=10_000.0)
     logs = logged_of(fast.drive, [simulate_log(fast, two_sines(1.0, 10_000.0))])
     model = joined(Model(logs), candidate_of(logs, "loop_delay"))
-    u = np.r_[np.zeros(len(NAMES)), begin(model, {"delay": np.array([2.1])})]  # samples of the thinned log
-    fit = Fitter(logs).fit(model, u, None, standing(logs), 0)
+    theta = np.r_[np.zeros(len(NAMES)), begin(model, {"delay": np.array([2.1])})]  # samples of the thinned log
+    fit = Fitter(logs).fit(model, theta, None, initial_trajectory(logs), 0)
     drive = drive_of(fit, 0)
     assert drive.effects == ()
     assert drive.actuator.delay_samples + float(drive.actuator.delay_fraction) == pytest.approx(10.5)
@@ -128,8 +130,8 @@ def test_a_machine_that_cannot_be_is_no_explanation():
     model = joined(Model(logs), candidate_of(logs, "frame_vibration"))
     values = {"frequency": np.array([20.0]), "damping": np.array([0.03])}
     for ratio, possible in ((0.1, True), (-0.1, False)):
-        u = np.r_[np.zeros(len(NAMES)), begin(model, values | {"ratio": np.array([ratio])})]
-        assert model.possible(u) is possible
+        theta = np.r_[np.zeros(len(NAMES)), begin(model, values | {"ratio": np.array([ratio])})]
+        assert model.possible(theta) is possible
     less = Model(logs, (Member(candidate_of(logs, "loop_delay")),))
     assert less.possible(np.r_[np.zeros(len(NAMES)), -1.0])  # the drive file claims too much
 
@@ -157,7 +159,7 @@ def test_a_log_is_judged_in_closed_loop_if_its_own_reference_is_known(known):
     moves = replaced(reference=SOUND.reference if known else None)
     found = diagnose(DRIVE.drive, DRIVE.controller, [moves, rest], without=list(EFFECTS))
     assert found.split.logs == [0]
-    assert all((rung.loop is not None) is known for rung in found.rungs)
+    assert all((comparison.loop is not None) is known for comparison in found.comparisons)
 
 
 @pytest.mark.slow
@@ -167,7 +169,7 @@ def test_a_screw_that_the_drive_file_knows_leaves_the_noise_its_floor():
     found = diagnose(soft.drive, soft.controller, [log], without=list(EFFECTS))
     assert found.verdict.verdict == "none"
     assert 0.0 < found.floor < 2.0
-    assert found.rungs[1].force.rms < 2.0 * found.floor
+    assert found.comparisons[1].force.rms < 2.0 * found.floor
     assert all(np.isfinite(one.p_value) for one in found.where)
 
 
@@ -212,7 +214,7 @@ def test_where_the_drive_cannot_follow_its_log_no_force_is_told():
     far = dataclasses.replace(SOUND, position=1e3 * SOUND.position, reference=1e3 * SOUND.reference)
     found = diagnose(DRIVE.drive, DRIVE.controller, [far], without=list(EFFECTS))
     told = as_json(found, Experiment("", [], 0.0, ""))
-    assert not any(rung.force.told for rung in found.rungs)
+    assert not any(comparison.force.told for comparison in found.comparisons)
     gap = told["gap"]
     assert [gap[name] for name in ("force_rms_N", "recalibrated_force_rms_N", "noise_floor_force_N")] == [None] * 3
     assert "too far from the logs" in gap["says"]

@@ -24,19 +24,19 @@ from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sine
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.filter.segments import segments
 from tuning.diagnosis.fits.fitting import Fitter
+from tuning.diagnosis.fits.goodness_of_fit import is_complete, missing_evidence
 from tuning.diagnosis.fits.intervals import parameters
-from tuning.diagnosis.fits.leftover import complete, lacking
-from tuning.diagnosis.fits.trust import lost_samples
+from tuning.diagnosis.fits.reference_noise import lost_samples
 from tuning.diagnosis.gap.gap import drive_of
 from tuning.diagnosis.gap.inverse import force_error
 from tuning.diagnosis.hypotheses.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.candidates import given as those_given
-from tuning.diagnosis.hypotheses.model import Member, Model, effect_in_lanes, exposed
+from tuning.diagnosis.hypotheses.model import Member, Model, effect_in_lanes, signals_along
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.registration import registered
 from tuning.diagnosis.selection.screening import begin, joined
-from tuning.diagnosis.selection.search import recalibrated, standing
+from tuning.diagnosis.selection.search import initial_trajectory, recalibrated
 from tuning.identification.prediction import initial_velocity
 from tuning.identification.problem import noise_floor
 
@@ -50,7 +50,7 @@ def test_a_thinned_command_is_held_back_by_control_periods(delay):
     log = simulate_log(fast, two_sines(0.3, 10_000.0))
     logs = logged_of(fast.drive, [log])
     effect = effect_in_lanes(LoopDelay, {"delay": np.array([delay / 5])}, logs.owner)
-    acts = exposed(logs, logs.drive, (effect,), standing(logs))
+    acts = signals_along(logs, logs.drive, (effect,), initial_trajectory(logs))
     time = np.arange(len(log.time))
     late = np.interp(time - delay, time, log.command).reshape(-1, 5)
     count = len(late)
@@ -68,11 +68,11 @@ def test_noise_in_a_fast_loop_does_not_pass_for_a_missing_force():
     logs = logged_of(stiff.drive, [simulate_log(stiff, there_and_back)])
     fitter = Fitter(logs)
     base = recalibrated(fitter, TOLERANCE)
-    assert complete(fitter, base)
+    assert is_complete(fitter, base)
     even = logs._replace(lanes=logs.lanes._replace(period_commands=None))
     blind = recalibrated(Fitter(even), TOLERANCE)
-    assert blind.process[1] > 50.0 * base.process[1]  # a sudden force that nobody exerts
-    assert lacking(Fitter(even), blind) > lacking(fitter, base) + 10.0
+    assert blind.process_noise[1] > 50.0 * base.process_noise[1]  # a sudden force that nobody exerts
+    assert missing_evidence(Fitter(even), blind) > missing_evidence(fitter, base) + 10.0
 
 
 @given(st.integers(20, 30_000), st.sampled_from([500.0, 1e3, 2e3, 1e4]))
@@ -110,7 +110,7 @@ def test_a_filter_of_a_fast_axis_is_nowhere_lost():
     fitter = Fitter(logged_of(drive, [simulate_log(dataclasses.replace(axis, drive=drive), there)]))
     base = recalibrated(fitter, 0.02)
     assert lost_samples(base) == 0
-    assert complete(fitter, base)
+    assert is_complete(fitter, base)
 
 
 def with_effects(*effects):
@@ -167,9 +167,9 @@ def test_a_delay_that_is_claimed_and_not_there_is_found():
     at = setting(logs.drive, logs.lanes, 1.0 / RATE)
     candidate = next(one for one in candidates(at) if one.name == "loop_delay")
     model = joined(Model(logs), candidate)
-    u = np.r_[np.zeros(len(NAMES)), candidate.parameters[0].standard(-0.5)]
-    fit = fitter.fit(model, u, None, standing(logs))
-    assert candidate.parameters[0].value(fit.u[-1]) == pytest.approx(-1.0, abs=0.05)
+    theta = np.r_[np.zeros(len(NAMES)), candidate.parameters[0].standard(-0.5)]
+    fit = fitter.fit(model, theta, None, initial_trajectory(logs))
+    assert candidate.parameters[0].value(fit.theta[-1]) == pytest.approx(-1.0, abs=0.05)
     found = drive_of(fit, 0)  # less delay than none is no effect: the drive file claims less
     assert found.effects == ()
     assert found.actuator.delay_samples + float(found.actuator.delay_fraction) == pytest.approx(0.0, abs=0.05)
@@ -188,11 +188,11 @@ def test_a_fast_log_is_thinned_and_its_delay_still_counted_in_control_periods():
     at = setting(logs.drive, logs.lanes, logs.sampling.period, logs.thinning)
     candidate = next(one for one in candidates(at) if one.name == "loop_delay")
     model = joined(Model(logs), candidate)
-    fit = fitter.fit(model, np.r_[np.zeros(len(NAMES)), 0.3], None, standing(logs))
+    fit = fitter.fit(model, np.r_[np.zeros(len(NAMES)), 0.3], None, initial_trajectory(logs))
     value, (low, high) = parameters(fit, 0)["delay"]
     assert value == pytest.approx(3.0, abs=0.02)
     assert low < value < high < 3.1
-    assert complete(fitter, fit)
+    assert is_complete(fitter, fit)
     assert float(drive_of(fit, 0).effects[0].delay) == pytest.approx(value)
 
 
@@ -206,11 +206,11 @@ def test_a_lag_shorter_than_a_thinned_sample_is_measured():
     candidate = next(one for one in candidates(at) if one.name == "actuator_lag")
     model = joined(Model(logs), candidate)
     values = {"time_constant": np.array([5e-4])}
-    fit = fitter.fit(model, np.r_[np.zeros(len(NAMES)), begin(model, values)], None, standing(logs))
+    fit = fitter.fit(model, np.r_[np.zeros(len(NAMES)), begin(model, values)], None, initial_trajectory(logs))
     value, (low, high) = parameters(fit, 0)["time_constant"]
     assert low < value < high
     assert value == pytest.approx(3e-4, rel=0.03)
-    assert complete(fitter, fit)
+    assert is_complete(fitter, fit)
 
 
 @pytest.mark.long

@@ -57,7 +57,7 @@ def run_with(wave):
 def test_a_wave_many_times_the_friction_is_cogging_and_no_error_of_the_scale():
     found = diagnose(MOTOR.drive, UnknownController(), [run_with(WAVE)], without=OTHERS, most_effects=1)
     first = next(one for one in found.verdict.beliefs if one.found)
-    cogging = first.fitted.model.values(first.fitted.u)[-1]
+    cogging = first.fitted.model.values(first.fitted.theta)[-1]
     assert first.effect == "cogging"
     assert np.hypot(cogging["cosine"][0], cogging["sine"][0]) == pytest.approx(WAVE, rel=0.03)
     assert cogging["period"][0] == pytest.approx(PERIOD, rel=1e-3)
@@ -87,7 +87,7 @@ def test_the_motor_of_laas_cogs_a_tenth_as_much_with_its_compensation():
         found = diagnose(nominal, UnknownController(), [log], without=OTHERS, tolerance=0.2, most_effects=1)
         fits = found.explanation.rounds[0].fits
         cogging = next(one for one in fits if one.model.members[-1].candidate.name == "cogging")
-        values = cogging.model.values(cogging.u)[-1]
+        values = cogging.model.values(cogging.theta)[-1]
         assert laas.LEAD / values["period"][0] == pytest.approx(72, rel=2e-3)
         sizes[name] = np.hypot(values["cosine"][0], values["sine"][0])
         if name == "off":

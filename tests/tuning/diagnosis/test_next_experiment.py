@@ -36,7 +36,7 @@ def belief(effect, found=True, alternatives=(), round=0):
     return SimpleNamespace(effect=effect, found=found, round=round, alternatives=list(alternatives), fitted=effect)
 
 
-def diagnosed(verdict, *beliefs, where=(), unexplained=1.0, lacks=(), says="as it is", rounds=((), ())):
+def diagnosed(verdict, *beliefs, where=(), unexplained=1.0, deficits=(), says="as it is", rounds=((), ())):
     """A diagnosis of a log that went to and fro over 40 mm, as far as is looked at here."""
     position = 0.01 + 0.02 * (1 - np.cos(3.0 * TIME))[None]
     lanes = SimpleNamespace(position=position, counts=np.ones_like(position))
@@ -44,10 +44,10 @@ def diagnosed(verdict, *beliefs, where=(), unexplained=1.0, lacks=(), says="as i
     return SimpleNamespace(
         verdict=SimpleNamespace(verdict=verdict, beliefs=list(beliefs), unexplained=unexplained, says=says),
         explanation=SimpleNamespace(rounds=[SimpleNamespace(fits=list(fits)) for fits in rounds]),
-        lacks=list(lacks),
+        excitation_deficits=list(deficits),
         where=list(where),
         logged=SimpleNamespace(lanes=lanes),
-        gap=SimpleNamespace(course=SimpleNamespace(velocity=velocity), told=True),
+        gap=SimpleNamespace(trajectory=SimpleNamespace(velocity=velocity), told=True),
     )
 
 
@@ -58,7 +58,7 @@ def region(dimension, name, p_value=1e-3):
 
 def test_an_axis_that_crept_is_asked_to_creep():
     found = diagnosed("unknown")
-    found.gap.course.velocity *= 4e-4 / 0.06
+    found.gap.trajectory.velocity *= 4e-4 / 0.06
     asked = module._exciting(found, DRIVE)
     speeds = [float(one) for one in re.findall(r"speeds?=([\d.e;-]+)m/s", asked.motion)[0].split(";")]
     assert max(speeds) < 5e-4
@@ -111,8 +111,8 @@ def test_a_motion_is_simulated_with_one_cause_and_read_by_the_other():
     fits = []
     for name in ("constant_force", "friction_asymmetry"):
         model = joined(Model(log), known[name])
-        u = np.zeros(model.size)
-        fits.append(fitter.fit(model, u, base.process, base.track.course, 2))
+        theta = np.zeros(model.size)
+        fits.append(fitter.fit(model, theta, base.process_noise, base.filtered.trajectory, 2))
     stroke = list(MOTIONS.values())[-1]
     inputs = loop_inputs(stroke, np.zeros(len(stroke.time)))
     assert module._told(fits[0], fits[1], DRIVE, inputs, module.STEPS) > module.ENOUGH

@@ -8,7 +8,7 @@ import pytest
 from diffdrive.effects.forces import Cogging
 from tests.support.perturbed_machine import catalogue, recalibrated_of
 from tests.support.sound_log import RATE
-from tuning.diagnosis.fits.leftover import complete
+from tuning.diagnosis.fits.goodness_of_fit import is_complete
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.hypotheses.search import DETAIL, NEEDED, Judged, _first_of_each, _near, _needed, search
 from tuning.hypotheses.table import Entry
@@ -48,8 +48,8 @@ def test_beside_a_coarse_effect_more_is_needed_than_its_form_may_be_off_by():
 @pytest.mark.parametrize("effects", [(), (Cogging(0.00125, 1.0, 0.5),)])
 def test_a_sound_machine_has_nothing_and_one_that_cogs_has_that_alone(effects):
     fitter, base = recalibrated_of(*effects)
-    at = setting(base.own, fitter.logged.lanes, 1.0 / RATE)
+    at = setting(base.recalibrated_drive, fitter.logged.lanes, 1.0 / RATE)
     found = search(fitter, base, catalogue(fitter, base), at, 2)
     assert found.effects == [one.name for one in effects]
-    assert complete(fitter, found.best.fitted)
+    assert is_complete(fitter, found.best.fitted)
     assert found.best.plain - found.best.free < NEEDED  # functions have nothing to explain

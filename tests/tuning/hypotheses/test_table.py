@@ -15,10 +15,10 @@ rng = np.random.default_rng(3)
 JACOBIAN, FUNCTIONS, COLUMNS, RESIDUAL = (rng.normal(size=size) for size in ((M, K), (M, F), (M, D), M))
 
 
-def fit(jacobian, residual=RESIDUAL, u=None):
-    there = np.zeros(jacobian.shape[1]) if u is None else u
+def fit(jacobian, residual=RESIDUAL, theta=None):
+    there = np.zeros(jacobian.shape[1]) if theta is None else theta
     return SimpleNamespace(
-        jacobian=jacobian, residual=residual, u=there, cost=float(residual @ residual + there @ there)
+        jacobian=jacobian, residual=residual, theta=there, cost=float(residual @ residual + there @ there)
     )
 
 
@@ -45,11 +45,11 @@ def test_an_effect_is_worth_what_it_adds_beside_the_functions():
 
 
 def test_amounts_and_what_makes_way_are_where_all_together_cost_least():
-    u = rng.normal(size=K)
-    table = Table(fit(JACOBIAN, u=u), np.zeros((M, 0)))
+    theta = rng.normal(size=K)
+    table = Table(fit(JACOBIAN, theta=theta), np.zeros((M, 0)))
     ((_, amounts, moved),) = table.of_columns(COLUMNS, [slice(0, D)])
     both = np.hstack([JACOBIAN, COLUMNS])
-    slope = both.T @ RESIDUAL + np.r_[u, np.zeros(D)]
+    slope = both.T @ RESIDUAL + np.r_[theta, np.zeros(D)]
     expected = -np.linalg.solve(both.T @ both + np.eye(K + D), slope)
     np.testing.assert_allclose(np.r_[moved, amounts], expected, rtol=1e-9)
 

@@ -25,7 +25,7 @@ from tuning.diagnosis.hypotheses.calibration import TOLERANCE
 from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.priors import ITSELF, LOG_ODDS, LOGARITHM, Parameter
 from tuning.diagnosis.hypotheses.setting import setting
-from tuning.diagnosis.selection.search import look, recalibrated
+from tuning.diagnosis.selection.search import recalibrated, select_next_effect
 from tuning.gains.checkpoint import CHECKPOINT
 from tuning.gains.objective import AGGREGATIONS
 from tuning.identification.row_force import BetweenRows
@@ -151,7 +151,7 @@ def looked(store):
     logged = fitter.logged
     at = setting(logged.drive, logged.lanes, logged.sampling.period, logged.thinning, logged.starts)
     few = [one for one in candidates(at) if one.name in ("constant_force", "loop_delay")]
-    return look(fitter, recalibrated(fitter, TOLERANCE), few, lambda *_: None, lambda _: 0.0)
+    return select_next_effect(fitter, recalibrated(fitter, TOLERANCE), few, lambda *_: None, lambda _: 0.0)
 
 
 @pytest.mark.long

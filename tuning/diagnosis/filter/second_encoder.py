@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from diffdrive.effects.base import Effect, ScaleEffect
 from diffdrive.logs import Log
-from tuning.diagnosis.filter.following import Track
+from tuning.diagnosis.filter.ekf import EkfResult
 from tuning.identification.prediction import Lanes
 from tuning.identification.problem import long_pieces
 
@@ -49,16 +49,20 @@ def twist_of(logs: Sequence[Log], lanes: Lanes, noise: float, thinning: int = 1)
     return Twist(value, counts, float(np.sqrt(2.0) * noise))
 
 
-def foreseen(effects: Sequence[Effect], track: Track) -> Float[np.ndarray, "lanes n"]:
-    """The twist (m) that effects, whose parameters are given by lane, make along a track."""
-    total = np.zeros(track.innovation.shape) if track.motor is None else np.array(track.motor)
+def predicted_twist(effects: Sequence[Effect], filtered: EkfResult) -> Float[np.ndarray, "lanes n"]:
+    """The twist (m) that effects, whose parameters are given by lane, make along what was filtered."""
+    total = (
+        np.zeros(filtered.innovation.shape)
+        if filtered.motor_deflection is None
+        else np.array(filtered.motor_deflection)
+    )
     for effect in effects:
         if isinstance(effect, ScaleEffect):
-            total -= np.asarray(jax.vmap(type(effect).error)(effect, track.course.position))
+            total -= np.asarray(jax.vmap(type(effect).error)(effect, filtered.trajectory.position))
     return total
 
 
-def unlikelihood(twist: Twist, expected: Float[np.ndarray, "lanes n"], period: float) -> float:
+def twist_deviance(twist: Twist, expected: Float[np.ndarray, "lanes n"], period: float) -> float:
     """-2 log likelihood of the twist against that of none at all; below zero where the expected one is there.
 
     Zero where it was not measured, as in a log without a second encoder among others that have one.
@@ -72,8 +76,8 @@ def unlikelihood(twist: Twist, expected: Float[np.ndarray, "lanes n"], period: f
 def seen_by(
     twist: Twist, added: Float[np.ndarray, "lanes n"], expected: Float[np.ndarray, "lanes n"], period: float
 ) -> Float[np.ndarray, " m"]:
-    """What a small twist that is `added` to the one `expected` counts as residuals: `unlikelihood` falls by its squares
-    where the machine has it.
+    """What a small twist that is `added` to the one `expected` counts as residuals: `twist_deviance` falls by its
+    squares where the machine has it.
     """
     independent = float(twist.counts.sum()) * min(1.0, period / INDEPENDENT)
     weight = np.sqrt(independent / _squares(twist, twist.value - expected))

@@ -15,10 +15,10 @@ from jaxtyping import Array, Float, Int
 
 from diffdrive.effects.stages import Effects
 from diffdrive.model.parameters import Drive
-from tuning.diagnosis.filter.exposure import Course, Exposure
-from tuning.diagnosis.filter.following import Process, Track, followed, numbers, with_numbers
+from tuning.diagnosis.filter.effect_signals import EffectSignals, Trajectory
+from tuning.diagnosis.filter.ekf import EkfResult, ProcessNoise, compiled_filter, numbers, with_numbers
 from tuning.diagnosis.hypotheses.calibration import NAMES
-from tuning.diagnosis.hypotheses.model import Logged, Model, Vector, exposed, machine, stacked
+from tuning.diagnosis.hypotheses.model import Logged, Model, Vector, machine, signals_along, stacked
 
 DIFFERENCE = 0.02  # in units of the prior
 SMALL = 0.05  # of the scatter, RMS: a change of the residuals that is still linear
@@ -30,42 +30,52 @@ Columns = Float[np.ndarray, "m w"]
 
 @eqx.filter_jit
 def _machines(
-    logged: Logged, b: Float[Array, "s b"], effects: tuple[Effects, Effects], course: Course
-) -> tuple[Drive, Exposure]:
+    logged: Logged, b: Float[Array, "s b"], effects: tuple[Effects, Effects], trajectory: Trajectory
+) -> tuple[Drive, EffectSignals]:
     """The drive under each of several calibrations and sets of effects, and what acts on it."""
 
-    def one(b: Float[Array, " b"], effects: tuple[Effects, Effects]) -> tuple[Drive, Exposure]:
+    def one(b: Float[Array, " b"], effects: tuple[Effects, Effects]) -> tuple[Drive, EffectSignals]:
         loose, coupled = effects
         own, drive = machine(logged, b, (*loose, *coupled))
-        return drive, exposed(logged, own, loose, course)
+        return drive, signals_along(logged, own, loose, trajectory)
 
     return jax.vmap(one)(b, effects)
 
 
 @eqx.filter_jit
 def _changed(
-    drive: Drive, acting: Exposure, columns: Float[np.ndarray, "p m"], bend: Exposure, ways: Ways, steps: Vector
-) -> tuple[Drive, Exposure]:
+    drive: Drive,
+    signals: EffectSignals,
+    columns: Float[np.ndarray, "p m"],
+    bend: EffectSignals,
+    ways: Ways,
+    steps: Vector,
+) -> tuple[Drive, EffectSignals]:
     """A drive and what acts on it, so many steps along each of several ways."""
 
-    def one(way: Int[Array | np.ndarray, ""], step: Float[Array | np.ndarray, ""]) -> tuple[Drive, Exposure]:
-        moved = jax.tree.map(lambda at, along: at + step * along[..., way], acting._replace(ripple=None), bend)
-        return with_numbers(drive, numbers(drive) + step * columns[:, way]), moved._replace(ripple=acting.ripple)
+    def one(way: Int[Array | np.ndarray, ""], step: Float[Array | np.ndarray, ""]) -> tuple[Drive, EffectSignals]:
+        moved = jax.tree.map(lambda at, along: at + step * along[..., way], signals._replace(ripple=None), bend)
+        return with_numbers(drive, numbers(drive) + step * columns[:, way]), moved._replace(ripple=signals.ripple)
 
     return jax.vmap(one)(ways, steps)
 
 
 @eqx.filter_jit
 def _innovations(
-    drives: Drive, acting: Exposure, coupled: Effects, logged: Logged, course: Course, process: Process
+    drives: Drive,
+    signals: EffectSignals,
+    coupled: Effects,
+    logged: Logged,
+    trajectory: Trajectory,
+    process_noise: ProcessNoise,
 ) -> Float[Array, "s lanes n"]:
-    """Of several machines side by side: one filter, whatever the effects that are stepped along the course."""
+    """Of several machines side by side: one filter, whatever the effects that are stepped along the trajectory."""
 
-    def one(drive: Drive, acting: Exposure, coupled: Effects) -> Float[Array, "lanes n"]:
-        given = (logged.noise, logged.lanes, logged.sampling, course)
-        return followed(drive, acting, coupled, process, *given).innovation
+    def one(drive: Drive, signals: EffectSignals, coupled: Effects) -> Float[Array, "lanes n"]:
+        given = (logged.noise, logged.lanes, logged.sampling, trajectory)
+        return compiled_filter(drive, signals, coupled, process_noise, *given).innovation
 
-    return jax.vmap(one)(drives, acting, coupled)
+    return jax.vmap(one)(drives, signals, coupled)
 
 
 def _by_steps(over: Callable[[Ways, Vector], Columns], size: int, ways: Ways, sides: Vector, samples: float) -> Columns:
@@ -87,24 +97,24 @@ def _in_blocks(ways: Ways, steps: Vector) -> list[tuple[Ways, Vector]]:
 
 
 def _slope(
-    innovations: list[np.ndarray], from_there: np.ndarray, steps: Vector, track: Track, logged: Logged
+    innovations: list[np.ndarray], from_there: np.ndarray, steps: Vector, filtered: EkfResult, logged: Logged
 ) -> Columns:
     """Slopes of the innovations over their scatter; none where a filter ran away, since that tells nothing."""
     count = len(steps)
     with np.errstate(invalid="ignore", over="ignore"):
         moved = np.concatenate(innovations)[:count] - from_there
-        slope = moved / steps[:, None, None] / np.asarray(track.scatter) * np.asarray(logged.lanes.counts)
+        slope = moved / steps[:, None, None] / np.asarray(filtered.innovation_std) * np.asarray(logged.lanes.counts)
     return np.where(np.isfinite(slope), slope, 0.0).reshape(count, -1).T
 
 
 def by_numbers(
-    model: Model, u: Vector, process: Vector, track: Track, course: Course, wanted: Ways
+    model: Model, theta: Vector, process_noise: Vector, filtered: EkfResult, trajectory: Trajectory, wanted: Ways
 ) -> Float[np.ndarray, "m k"]:
-    """Of the innovations of a hypothesis at `u`, over their scatter, to each number of u that is wanted.
+    """Of the innovations of a hypothesis at `theta`, over their scatter, to each number of u that is wanted.
 
-    Each to the side away from the prior's edge; `course` is the one that led to the track.
+    Each to the side away from the prior's edge; `trajectory` is the one that led to what was filtered.
     """
-    logged, forces = model.logged, Process(*jnp.asarray(process))
+    logged, forces = model.logged, ProcessNoise(*jnp.asarray(process_noise))
     counts = np.asarray(logged.lanes.counts)
 
     def over(ways: Ways, steps: Vector) -> Columns:
@@ -112,36 +122,36 @@ def by_numbers(
             return np.zeros((counts.size, 0))
         found = []
         for few, by in _in_blocks(ways, steps):
-            us = u + np.eye(model.size)[few] * by[:, None]
+            us = theta + np.eye(model.size)[few] * by[:, None]
             effects = stacked([model.apart(model.effects(one)) for one in us])
-            drives, acting = _machines(logged, us[:, : len(NAMES)] @ model.prior, effects, course)
-            found.append(np.asarray(_innovations(drives, acting, effects[1], logged, course, forces)))
-        return _slope(found, np.asarray(track.innovation), steps, track, logged)
+            drives, signals = _machines(logged, us[:, : len(NAMES)] @ model.prior, effects, trajectory)
+            found.append(np.asarray(_innovations(drives, signals, effects[1], logged, trajectory, forces)))
+        return _slope(found, np.asarray(filtered.innovation), steps, filtered, logged)
 
-    sides = np.where(u > 0.0, -1.0, 1.0)
+    sides = np.where(theta > 0.0, -1.0, 1.0)
     return _by_steps(over, model.size, wanted, sides, counts.sum())
 
 
 def by_acts(
-    model: Model, u: Vector, process: Vector, track: Track, drive: Drive, acting: Exposure,
-    columns: Float[np.ndarray, "p m"], bend: Exposure,
+    model: Model, theta: Vector, process_noise: Vector, filtered: EkfResult, drive: Drive, signals: EffectSignals,
+    columns: Float[np.ndarray, "p m"], bend: EffectSignals,
 ) -> Float[np.ndarray, "lanes n m"]:  # fmt: skip
     """Of the same innovations to changes of the drive's numbers (`columns`) and of what acts ([lanes, n, m])."""
-    logged, forces = model.logged, Process(*jnp.asarray(process))
-    counts, coupled = np.asarray(logged.lanes.counts), model.apart(model.effects(u))[1]
+    logged, forces = model.logged, ProcessNoise(*jnp.asarray(process_noise))
+    counts, coupled = np.asarray(logged.lanes.counts), model.apart(model.effects(theta))[1]
 
     def innovations(ways: Ways, steps: Vector) -> np.ndarray:
-        drives, acts = _changed(drive, acting, columns, bend, ways, steps)
+        drives, acts = _changed(drive, signals, columns, bend, ways, steps)
         beside = stacked([coupled] * len(ways))
-        return np.asarray(_innovations(drives, acts, beside, logged, track.course, forces))
+        return np.asarray(_innovations(drives, acts, beside, logged, filtered.trajectory, forces))
 
-    here = innovations(np.zeros(AT_ONCE, int), np.zeros(AT_ONCE))[0]  # along the last course, as the others are
+    here = innovations(np.zeros(AT_ONCE, int), np.zeros(AT_ONCE))[0]  # along the last trajectory, as the others are
 
     def over(ways: Ways, steps: Vector) -> Columns:
         if not ways.size:
             return np.zeros((counts.size, 0))
         found = [innovations(few, by) for few, by in _in_blocks(ways, steps)]
-        return _slope(found, here, steps, track, logged)
+        return _slope(found, here, steps, filtered, logged)
 
     count = columns.shape[1]
     found = _by_steps(over, count, np.arange(count), np.ones(count), counts.sum())

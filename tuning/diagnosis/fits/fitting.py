@@ -15,9 +15,17 @@ from jaxtyping import Array, Float
 
 from diffdrive.effects.stages import Effects
 from diffdrive.model.parameters import Drive
-from tuning.diagnosis.filter.exposure import Course, Exposure
-from tuning.diagnosis.filter.following import LOST, Process, Slopes, Track, answers, followed, slopes
-from tuning.diagnosis.filter.second_encoder import Twist, foreseen, unlikelihood
+from tuning.diagnosis.filter.effect_signals import EffectSignals, Trajectory
+from tuning.diagnosis.filter.ekf import (
+    LOST,
+    EkfResult,
+    ProcessNoise,
+    StepJacobians,
+    compiled_filter,
+    innovations_of_forcings,
+    step_jacobians_along,
+)
+from tuning.diagnosis.filter.second_encoder import Twist, predicted_twist, twist_deviance
 from tuning.diagnosis.fits.curvature import limited, log_volume, solved
 from tuning.diagnosis.fits.differences import by_numbers
 from tuning.diagnosis.hypotheses.calibration import DELAY, NAMES
@@ -25,11 +33,11 @@ from tuning.diagnosis.hypotheses.model import (
     Logged,
     Model,
     Vector,
-    exposed,
-    exposure_by_machine,
-    exposure_slopes,
     machine,
-    machine_slopes,
+    parameter_jacobian,
+    signals_along,
+    signals_by_calibration,
+    signals_jvp,
 )
 from tuning.store.store import Store, digest
 
@@ -45,7 +53,7 @@ SUDDEN, SIZES = 0.3, 14  # N, where nothing lasting is missing, and how many: wh
 BOLDNESS = 10.0  # far from the truth the filter blames the model, and forgives it too much
 DAMPING = 0.1  # of a step's curvature in units of the prior's
 ENOUGH = 0.5  # of cost, that a step must gain
-SETTLING = 3  # passes after the last step: what a passing course gained is no evidence
+SETTLING = 3  # passes after the last step: what a passing trajectory gained is no evidence
 FAR = 100.0  # of cost: a step that gains more is still on its way
 
 
@@ -53,13 +61,13 @@ class Fitted(NamedTuple):
     """Where a fit ended."""
 
     model: Model
-    u: Vector
-    process: Float[np.ndarray, " 2"]  # N, as in `Process`
+    theta: Vector
+    process_noise: Float[np.ndarray, " 2"]  # N, as in `ProcessNoise`
     cost: float  # deviance and prior
-    track: Track
-    acting: Exposure
-    linear: Slopes
-    own: Drive  # recalibrated
+    filtered: EkfResult
+    signals: EffectSignals
+    step_jacobians: StepJacobians
+    recalibrated_drive: Drive  # recalibrated
     drive: Drive  # and altered
     jacobian: Float[np.ndarray, "m k"]  # of the residuals, whose sum of squares is what the cost falls by
     residual: Float[np.ndarray, " m"]
@@ -74,55 +82,60 @@ class Fitted(NamedTuple):
         return found if np.isfinite(found) else np.inf
 
 
-slopes_of = eqx.filter_jit(slopes)
+compiled_step_jacobians = eqx.filter_jit(step_jacobians_along)
 
 
 @eqx.filter_jit
 def _deviances(
-    drive: Drive, acting: Exposure, coupled: Effects, processes: Float[Array, "q 2"], logged: Logged, course: Course
+    drive: Drive,
+    signals: EffectSignals,
+    coupled: Effects,
+    processes: Float[Array, "q 2"],
+    logged: Logged,
+    trajectory: Trajectory,
 ) -> Float[Array, " q"]:
-    def one(process: Float[Array, " 2"]) -> Float[Array, ""]:
-        given = (logged.noise, logged.lanes, logged.sampling, course)
-        return followed(drive, acting, coupled, Process(*process), *given).deviance
+    def one(process_noise: Float[Array, " 2"]) -> Float[Array, ""]:
+        given = (logged.noise, logged.lanes, logged.sampling, trajectory)
+        return compiled_filter(drive, signals, coupled, ProcessNoise(*process_noise), *given).deviance
 
     return jax.vmap(one)(processes)
 
 
 @eqx.filter_jit
-def answered(
-    track: Track,
-    linear: Slopes,
+def innovation_jvp(
+    filtered: EkfResult,
+    step_jacobians: StepJacobians,
     machine: Float[Array, "p k"],
-    exposure: Exposure | None,
+    signals: EffectSignals | None,
     counts: Float[Array, "lanes n"],
     period: float,
 ) -> Float[Array, "lanes n k"]:
     """Answers of the innovations, over their scatter, to the machine's numbers ([p, k]) and to exposures."""
-    forcing = jnp.einsum("lnrp,pk->lnrk", linear.machine, machine)
+    forcing = jnp.einsum("lnrp,pk->lnrk", step_jacobians.machine, machine)
     off = jnp.zeros((*forcing.shape[:2], forcing.shape[-1]))
-    if exposure is not None:
-        acts = jnp.stack([exposure.force, exposure.coulomb, exposure.gap, exposure.viscous], axis=-2)
-        more = jnp.einsum("lnrc,lncm->lnrm", linear.exposure, acts)
-        forcing, off = (forcing + more).at[:, :, 0].add(exposure.shift), exposure.scale
-    return answers(track, linear, forcing, off, period) * counts[..., None]
+    if signals is not None:
+        acts = jnp.stack([signals.force, signals.coulomb, signals.gap, signals.viscous], axis=-2)
+        more = jnp.einsum("lnrc,lncm->lnrm", step_jacobians.signals, acts)
+        forcing, off = (forcing + more).at[:, :, 0].add(signals.shift), signals.scale
+    return innovations_of_forcings(filtered, step_jacobians, forcing, off, period) * counts[..., None]
 
 
 class Point(NamedTuple):
     """A hypothesis at some values of its parameters."""
 
-    u: Vector
-    process: Float[np.ndarray, " 2"]
-    own: Drive
+    theta: Vector
+    process_noise: Float[np.ndarray, " 2"]
+    recalibrated_drive: Drive
     drive: Drive
-    acting: Exposure
-    course: Course  # that effects were stepped along
-    track: Track
+    signals: EffectSignals
+    trajectory: Trajectory  # that effects were stepped along
+    filtered: EkfResult
     cost: float
 
     @property
-    def onward(self) -> Course:
-        """Half way from that course to the one that came of it."""
-        return jax.tree.map(lambda a, b: 0.5 * (a + b), self.course, self.track.course)
+    def next_trajectory(self) -> Trajectory:
+        """Half way from that trajectory to the one that came of it."""
+        return jax.tree.map(lambda a, b: 0.5 * (a + b), self.trajectory, self.filtered.trajectory)
 
 
 class Fitter:
@@ -143,70 +156,85 @@ class Fitter:
         lasting = np.geomspace(self.least, MOST, 7)
         return np.array([(one, share * one) for one in lasting for share in (1e-2, 0.3, 3.0)])
 
-    def quiet(self, process: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "w 2"]:
+    def quiet(self, process_noise: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "w 2"]:
         """These process forces (N) with any small sudden one: it matters, and the cost is rough in it."""
         sudden = np.geomspace(self.least, SUDDEN, SIZES)
-        return np.stack([np.full(SIZES, process[0]), sudden], axis=1)
+        return np.stack([np.full(SIZES, process_noise[0]), sudden], axis=1)
 
-    def at(self, model: Model, u: Vector, process: np.ndarray, course: Course) -> Point:
+    def at(self, model: Model, theta: Vector, process_noise: np.ndarray, trajectory: Trajectory) -> Point:
         """The hypothesis at u."""
-        effects = model.effects(u)
+        effects = model.effects(theta)
         loose, coupled = model.apart(effects)
-        own, drive = machine(self.logged, jnp.asarray(model.calibration(u)), effects)
-        acting = exposed(self.logged, own, loose, course)
-        track = followed(drive, acting, coupled, Process(*jnp.asarray(process)), *self.given, course)
-        cost = float(track.deviance) + float(u @ u)
-        return Point(u, process, own, drive, acting, course, track, cost if np.isfinite(cost) else np.inf)
+        recalibrated_drive, drive = machine(self.logged, jnp.asarray(model.calibration(theta)), effects)
+        signals = signals_along(self.logged, recalibrated_drive, loose, trajectory)
+        filtered = compiled_filter(
+            drive, signals, coupled, ProcessNoise(*jnp.asarray(process_noise)), *self.given, trajectory
+        )
+        cost = float(filtered.deviance) + float(theta @ theta)
+        return Point(
+            theta,
+            process_noise,
+            recalibrated_drive,
+            drive,
+            signals,
+            trajectory,
+            filtered,
+            cost if np.isfinite(cost) else np.inf,
+        )
 
     def with_process(self, point: Point, model: Model, processes: np.ndarray) -> Point:
-        """The same point under the likeliest of these process forces, its effects along its own track."""
+        """The same point under the likeliest of these process forces, its effects along its own trajectory."""
         processes = np.clip(processes, self.least, MOST)
         filled = np.pad(processes, ((0, -len(processes) % len(NEAR)), (0, 0)), mode="edge")  # one program for all
-        loose, coupled = model.apart(model.effects(point.u))
-        acting = exposed(self.logged, point.own, loose, point.onward)
+        loose, coupled = model.apart(model.effects(point.theta))
+        signals = signals_along(self.logged, point.recalibrated_drive, loose, point.next_trajectory)
         parts = [jnp.asarray(some) for some in np.split(filled, len(filled) // len(NEAR))]
         found = np.concatenate(
-            [_deviances(point.drive, acting, coupled, some, self.logged, point.onward) for some in parts]
+            [_deviances(point.drive, signals, coupled, some, self.logged, point.next_trajectory) for some in parts]
         )
         found = found[: len(processes)]
         best = processes[int(np.argmin(np.where(np.isfinite(found), found, np.inf)))]
-        return self.at(model, point.u, best, point.onward)
+        return self.at(model, point.theta, best, point.next_trajectory)
 
-    def slopes(self, point: Point) -> Slopes:
+    def slopes(self, point: Point) -> StepJacobians:
         """What small changes do to the table over each period."""
-        return slopes_of(point.drive, point.acting, point.track, self.logged.lanes, self.logged.sampling)
+        return compiled_step_jacobians(
+            point.drive, point.signals, point.filtered, self.logged.lanes, self.logged.sampling
+        )
 
     def residuals(self, point: Point) -> tuple[np.ndarray, np.ndarray]:
         """Residuals, and the weights of those of their Jacobian."""
-        track = point.track
-        unit = 1.0 / np.sqrt(float(track.size))
-        residual = (np.asarray(track.innovation) / np.asarray(track.scatter) * self.counts).ravel()
+        filtered = point.filtered
+        unit = 1.0 / np.sqrt(float(filtered.noise_scale_sq))
+        residual = (np.asarray(filtered.innovation) / np.asarray(filtered.innovation_std) * self.counts).ravel()
         kept = unit * (np.abs(residual) < LOST)  # where the filter was lost, no small change would have told it
         return kept * residual, kept
 
     def jacobian(
-        self, model: Model, point: Point, linear: Slopes | None = None, free: Vector | bool = True
+        self, model: Model, point: Point, step_jacobians: StepJacobians | None = None, free: Vector | bool = True
     ) -> np.ndarray:
         """Of the residuals, [m, k]; what is not `free` may be left out."""
-        logged, track, (residual, kept) = self.logged, point.track, self.residuals(point)
+        logged, filtered, (residual, kept) = self.logged, point.filtered, self.residuals(point)
         if model.coupled:
             moves = np.r_[model.prior.any(axis=0), np.ones(len(model.slots), bool)]
             wanted = np.flatnonzero(moves & (np.broadcast_to(free, model.size) != 0))
-            found = by_numbers(model, point.u, point.process, track, point.course, wanted)
+            found = by_numbers(model, point.theta, point.process_noise, filtered, point.trajectory, wanted)
             return kept[:, None] * found
-        linear = self.slopes(point) if linear is None else linear
-        effects, b = model.effects(point.u), jnp.asarray(model.calibration(point.u))
-        tangents, count = model.tangents(point.u)
-        columns = machine_slopes(logged, b, effects, tangents if count else None)
+        step_jacobians = self.slopes(point) if step_jacobians is None else step_jacobians
+        effects, b = model.effects(point.theta), jnp.asarray(model.calibration(point.theta))
+        tangents, count = model.tangents(point.theta)
+        columns = parameter_jacobian(logged, b, effects, tangents if count else None)
         columns = columns.at[:, : len(NAMES)].set(columns[:, : len(NAMES)] @ model.prior)
         bend = None
         if count or model.prior[NAMES.index(DELAY)].any():  # else nothing acts but the command, as it is
-            first = exposure_by_machine(logged, b, effects, point.course)
+            first = signals_by_calibration(logged, b, effects, point.trajectory)
             bend = jax.tree.map(lambda a: a @ model.prior, first)
         if count:
-            then = exposure_slopes(logged, point.own, effects, tangents, point.course)
+            then = signals_jvp(logged, point.recalibrated_drive, effects, tangents, point.trajectory)
             bend = jax.tree.map(lambda a, c: jnp.concatenate([a, c], axis=-1), bend, then)
-        found = np.asarray(answered(track, linear, columns, bend, logged.lanes.counts, logged.sampling.period))
+        found = np.asarray(
+            innovation_jvp(filtered, step_jacobians, columns, bend, logged.lanes.counts, logged.sampling.period)
+        )
         return kept[:, None] * found.reshape(residual.size, -1)
 
     def step(
@@ -214,10 +242,10 @@ class Fitter:
     ) -> tuple[Point, float]:
         """One damped step under the point's process force; the point itself where none gains."""
         residual, jacobian = self.residuals(point)[0], jacobian * free
-        hessian, slope = jacobian.T @ jacobian + np.eye(model.size), jacobian.T @ residual + free * point.u
+        hessian, slope = jacobian.T @ jacobian + np.eye(model.size), jacobian.T @ residual + free * point.theta
         for _ in range(TRIALS):
             step = -limited(solved(hessian + damping * np.eye(model.size), slope))
-            ahead = self.at(model, point.u + step, point.process, point.onward)
+            ahead = self.at(model, point.theta + step, point.process_noise, point.next_trajectory)
             if ahead.cost < point.cost:
                 return ahead, max(0.1 * damping, 1e-3)
             damping = 10.0 * damping
@@ -225,74 +253,86 @@ class Fitter:
 
     def _updated(self, jacobian: np.ndarray, before: Point, ahead: Point) -> np.ndarray:
         """The Jacobian after a step, by the secant along it (Broyden 1965)."""
-        step = ahead.u - before.u
+        step = ahead.theta - before.theta
         off = self.residuals(ahead)[0] - self.residuals(before)[0] - jacobian @ step
         return jacobian + np.outer(off, step) / (step @ step)
 
     def fit(
         self,
         model: Model,
-        u: Vector,
-        process: np.ndarray | None,
-        course: Course,
+        theta: Vector,
+        process_noise: np.ndarray | None,
+        trajectory: Trajectory,
         most: int = MOST_STEPS,
         free: Vector | None = None,
     ) -> Fitted:
-        """From `u`; `course` is where the effects are first stepped along, `free` are ones for what may move."""
-        point, steps = self.sought(model, u, process, course, most, free)
+        """From `theta`; effects are first stepped along `trajectory`, `free` are ones for what may move."""
+        point, steps = self.minimise(model, theta, process_noise, trajectory, most, free)
         for _ in range(SETTLING):
-            point = self.at(model, point.u, point.process, point.onward)
+            point = self.at(model, point.theta, point.process_noise, point.next_trajectory)
         return self._linearised(model, point, steps)
 
-    def under(self, fitted: Fitted, process: Float[np.ndarray, " 2"]) -> Fitted:
+    def under(self, fitted: Fitted, process_noise: Float[np.ndarray, " 2"]) -> Fitted:
         """The same hypothesis with the same numbers, in a filter that may invent other forces (N)."""
-        point = self.at(fitted.model, fitted.u, process, fitted.track.course)
+        point = self.at(fitted.model, fitted.theta, process_noise, fitted.filtered.trajectory)
         return self._linearised(fitted.model, point, fitted.steps)
 
     def _linearised(self, model: Model, point: Point, steps: int) -> Fitted:
-        linear, residual = self.slopes(point), self.residuals(point)[0]
-        jacobian = self.jacobian(model, point, linear)
+        step_jacobians, residual = self.slopes(point), self.residuals(point)[0]
+        jacobian = self.jacobian(model, point, step_jacobians)
         hessian = jacobian.T @ jacobian + np.eye(model.size)
         return Fitted(
-            model, point.u, point.process, point.cost, point.track, point.acting, linear, point.own, point.drive,
-            jacobian, residual, hessian, steps, self._second(model, point),
+            model, point.theta, point.process_noise, point.cost, point.filtered, point.signals, step_jacobians,
+            point.recalibrated_drive, point.drive, jacobian, residual, hessian, steps, self._second(model, point),
         )  # fmt: skip
 
     def _second(self, model: Model, point: Point) -> float:
         """What the second encoder says of a point."""
         if self.twist is None:
             return 0.0
-        expected = foreseen(model.effects(point.u), point.track)
-        return unlikelihood(self.twist, expected, self.logged.sampling.period)
+        expected = predicted_twist(model.effects(point.theta), point.filtered)
+        return twist_deviance(self.twist, expected, self.logged.sampling.period)
 
-    def sought(
-        self, model: Model, u: Vector, process: np.ndarray | None, course: Course, most: int, free: Vector | None = None
+    def minimise(
+        self,
+        model: Model,
+        theta: Vector,
+        process_noise: np.ndarray | None,
+        trajectory: Trajectory,
+        most: int,
+        free: Vector | None = None,
     ) -> tuple[Point, int]:
         """Where `fit` ends, and after how many steps: at the least, and on from there if quite another noise gains."""
         free = np.ones(model.size) if free is None else free
         if self.store is None:
-            return self._searched(model, u, process, course, most, free)
-        key = digest("sought", self.logged, model, u, process, course, most, free)
+            return self._searched(model, theta, process_noise, trajectory, most, free)
+        key = digest("sought", self.logged, model, theta, process_noise, trajectory, most, free)
         kept = self.store.read(key)
         if kept is not None:
-            along = Course(*(jnp.asarray(kept[name]) for name in Course._fields))
+            along = Trajectory(*(jnp.asarray(kept[name]) for name in Trajectory._fields))
             return self.at(model, kept["u"], kept["process"], along), int(kept["steps"])
-        point, steps = self._searched(model, u, process, course, most, free)
-        ended = {"u": point.u, "process": point.process, "steps": np.array(steps)}
-        self.store.write(key, ended | {name: np.asarray(one) for name, one in point.course._asdict().items()})
+        point, steps = self._searched(model, theta, process_noise, trajectory, most, free)
+        ended = {"u": point.theta, "process": point.process_noise, "steps": np.array(steps)}
+        self.store.write(key, ended | {name: np.asarray(one) for name, one in point.trajectory._asdict().items()})
         return point, steps
 
     def _searched(
-        self, model: Model, u: Vector, process: np.ndarray | None, course: Course, most: int, free: Vector
+        self,
+        model: Model,
+        theta: Vector,
+        process_noise: np.ndarray | None,
+        trajectory: Trajectory,
+        most: int,
+        free: Vector,
     ) -> tuple[Point, int]:
-        point = self.at(model, u, BEGIN if process is None else process, course)
-        if process is None:
+        point = self.at(model, theta, BEGIN if process_noise is None else process_noise, trajectory)
+        if process_noise is None:
             point = self.with_process(point, model, self.first)
         point, steps = self._down(model, point, most, free, BOLDNESS)
         if steps == most:
             return point, steps
-        lasts = point.process[0] >= MISSED
-        other = self.with_process(point, model, self.first if lasts else self.quiet(point.process))
+        lasts = point.process_noise[0] >= MISSED
+        other = self.with_process(point, model, self.first if lasts else self.quiet(point.process_noise))
         if point.cost - other.cost < ENOUGH:
             return point, steps
         point, more = self._down(model, other, most - steps, free, 1.0)
@@ -319,9 +359,9 @@ class Fitter:
                 if settled and boldness == 1.0 and point.cost - ahead.cost > ENOUGH:
                     settled = False  # looked for every other time
                 else:
-                    begun = ahead.process
+                    begun = ahead.process_noise
                     ahead = self.with_process(ahead, model, begun * NEAR)
-                    settled = bool(np.all(ahead.process == begun))
+                    settled = bool(np.all(ahead.process_noise == begun))
             gained = point.cost - ahead.cost
             if gained > 0.0:
                 point = ahead
@@ -341,4 +381,6 @@ class Fitter:
 
     def _trusting(self, model: Model, point: Point, boldness: float) -> Point:
         """The same hypothesis in a filter that has less of a process force to blame."""
-        return self.at(model, point.u, np.maximum(point.process / boldness, self.least), point.onward)
+        return self.at(
+            model, point.theta, np.maximum(point.process_noise / boldness, self.least), point.next_trajectory
+        )

@@ -58,14 +58,14 @@ def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, Interval]
     candidate = fitted.model.members[member].candidate
     details = [DETAILS.get(one.candidate.effect, 0.0) for one in fitted.model.members]
     known, spread = {one.name: one for one in candidate.parameters}, deviations(fitted)
-    values_of, told = fitted.model.values(fitted.u)[member], dict[str, Any]()
+    values_of, told = fitted.model.values(fitted.theta)[member], dict[str, Any]()
     for k, (index, name, log) in enumerate(fitted.model.slots, start=len(NAMES)):
         if index != member:
             continue
-        one, u = known[name], float(fitted.u[k])
+        one, theta = known[name], float(fitted.theta[k])
         trusted = max(details) if one.amplitude else details[member]
-        wide = NORMAL * np.hypot(spread[k], trusted * _whole(one, u))
-        value, low, high = one.value(u), one.value(u - wide), one.value(u + wide)
+        wide = NORMAL * np.hypot(spread[k], trusted * _whole(one, theta))
+        value, low, high = one.value(theta), one.value(theta - wide), one.value(theta + wide)
         if candidate.effect in (AppliedLoad, ProcessForce) and name in ("start", "end") and log is not None:
             edge = float(values_of.get("edge", np.full(log + 1, EDGE_TIME))[log])
             low, high = _through_rests(fitted, log, low - 0.5 * edge, high + 0.5 * edge)
@@ -79,9 +79,9 @@ def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, Interval]
     return told
 
 
-def _whole(parameter: Parameter, u: float) -> float:
+def _whole(parameter: Parameter, theta: float) -> float:
     """A value's magnitude in units of its prior."""
-    return abs(parameter.value(u) / parameter.slope(u)) if parameter.slope(u) else 0.0
+    return abs(parameter.value(theta) / parameter.slope(theta)) if parameter.slope(theta) else 0.0
 
 
 def _through_rests(fitted: Fitted, log: int, low: float, high: float) -> tuple[float, float]:
@@ -89,7 +89,7 @@ def _through_rests(fitted: Fitted, log: int, low: float, high: float) -> tuple[f
     logged = fitted.model.logged
     ends = [low, high]
     for lane in (k for k, owner in enumerate(logged.owner) if owner == log):
-        rests = (np.abs(np.asarray(fitted.track.course.velocity)[lane]) < SLOW) & (logged.lanes.counts[lane] > 0)
+        rests = (np.abs(np.asarray(fitted.filtered.trajectory.velocity)[lane]) < SLOW) & (logged.lanes.counts[lane] > 0)
         edges = np.flatnonzero(np.diff(np.r_[0, rests.astype(int), 0]))
         for begin, end in float(logged.starts[lane]) + edges.reshape(-1, 2) / logged.sampling.rate:
             if begin <= high and end >= low:

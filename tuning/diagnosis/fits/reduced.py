@@ -26,7 +26,7 @@ class Reduced(NamedTuple):
 
 def reduced(fitted: Fitted, columns: Float[np.ndarray, "n m"]) -> Reduced:
     """Of the derivatives of the residuals by what is added."""
-    wanted = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
+    wanted = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.theta)
     cross = fitted.jacobian.T @ columns
     way = solved(fitted.hessian, cross)
     curvature = columns.T @ columns - cross.T @ way

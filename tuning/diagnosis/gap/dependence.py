@@ -2,8 +2,8 @@
 
 Beside a fit a function is free, a polygon over so many knots, whose corners have independent normal priors. Their scale
 is not chosen: it is integrated over a grid that reaches from next to nothing to the friction itself. To first order
-(`answered`) the evidence and the function itself follow at once. What no effect of the catalogue explains is described
-by the likeliest of these functions: a friction that changes with time, say, by so many newtons.
+(`innovation_jvp`) the evidence and the function itself follow at once. What no effect of the catalogue explains is
+described by the likeliest of these functions: a friction that changes with time, say, by so many newtons.
 """
 
 from collections.abc import Iterator
@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp
 
-from tuning.diagnosis.filter.exposure import Exposure
+from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.fits.curvature import log_volume, solved
-from tuning.diagnosis.fits.fitting import Fitted, Fitter, answered
-from tuning.diagnosis.fits.leftover import WORTH
+from tuning.diagnosis.fits.fitting import Fitted, Fitter, innovation_jvp
+from tuning.diagnosis.fits.goodness_of_fit import WORTH
 from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.hypotheses.setting import Setting
 
@@ -68,8 +68,8 @@ def dependences(fitter: Fitter, fitted: Fitted, at: Setting) -> list[Dependence]
         return None
     best: dict[tuple[str, str], Dependence] = {}
     for share in PROCESSES:
-        under = fitter.under(fitted, np.maximum(share * fitted.process, fitter.least))
-        slope = under.jacobian.T @ under.residual + under.u
+        under = fitter.under(fitted, np.maximum(share * fitted.process_noise, fitter.least))
+        slope = under.jacobian.T @ under.residual + under.theta
         moved = float(slope @ solved(under.hessian, slope))  # what is free gains by itself in this filter
         dearer = under.evidence - moved - fitted.evidence
         if not np.isfinite(dearer):
@@ -90,8 +90,8 @@ def hats(values: Signal, knots: Float[np.ndarray, " c"]) -> Basis:
 
 def families(fitted: Fitted, at: Setting) -> Iterator[tuple[Family, Signal]]:
     """The functions that may be free beside a fit, and what each is of."""
-    logged, course = fitted.model.logged, fitted.track.course
-    position, velocity = np.asarray(course.position), np.asarray(course.velocity)
+    logged, trajectory = fitted.model.logged, fitted.filtered.trajectory
+    position, velocity = np.asarray(trajectory.position), np.asarray(trajectory.velocity)
     command = np.asarray(logged.lanes.command)
     samples = np.arange(position.shape[1])
     time = np.asarray(logged.starts)[:, None] + samples * logged.sampling.period
@@ -132,12 +132,14 @@ def corner_answers(fitted: Fitted, family: Family) -> Float[np.ndarray, "m c"]:
     """Derivatives of the residuals by each corner."""
     logged, acts = fitted.model.logged, jnp.asarray(family.unit * family.basis)
     still = jnp.zeros_like(acts)
-    bend = Exposure(*(still for _ in range(7)))._replace(**{FIELDS[family.kind]: acts})
-    columns = jnp.zeros((fitted.linear.machine.shape[-1], acts.shape[-1]))
+    bend = EffectSignals(*(still for _ in range(7)))._replace(**{FIELDS[family.kind]: acts})
+    columns = jnp.zeros((fitted.step_jacobians.machine.shape[-1], acts.shape[-1]))
     found = np.asarray(
-        answered(fitted.track, fitted.linear, columns, bend, logged.lanes.counts, logged.sampling.period)
+        innovation_jvp(
+            fitted.filtered, fitted.step_jacobians, columns, bend, logged.lanes.counts, logged.sampling.period
+        )
     )
-    found = found.reshape(fitted.residual.size, -1) / np.sqrt(float(fitted.track.size))
+    found = found.reshape(fitted.residual.size, -1) / np.sqrt(float(fitted.filtered.noise_scale_sq))
     return np.where(fitted.residual[:, None] != 0.0, found, 0.0)
 
 
@@ -147,8 +149,8 @@ def _judged(fitted: Fitted, family: Family, abscissa: Signal) -> Dependence:
     weights = 0.5 * np.array(evidences)
     evidence = 2.0 * float(logsumexp(weights) - np.log(len(SCALES)))
     shares = np.exp(weights - logsumexp(weights))
-    course = family.basis @ (family.unit * np.einsum("s,sc->c", shares, np.array(corners)))
-    return Dependence(family.of, family.kind, evidence, *_size(fitted, course, abscissa, family.of == "time"))
+    trajectory = family.basis @ (family.unit * np.einsum("s,sc->c", shares, np.array(corners)))
+    return Dependence(family.of, family.kind, evidence, *_size(fitted, trajectory, abscissa, family.of == "time"))
 
 
 def _at_scale(
@@ -161,12 +163,12 @@ def _at_scale(
 
 
 def _size(
-    fitted: Fitted, course: Signal, abscissa: Signal, log_by_log: bool
+    fitted: Fitted, trajectory: Signal, abscissa: Signal, log_by_log: bool
 ) -> tuple[float, float | None, float | None, int | None]:
-    """RMS of a course while the table moves, the range in which most of its energy lies, and the log, if of one."""
+    """RMS of a function of time while the table moves, where most of its energy lies, and the log, if of one."""
     counts = np.asarray(fitted.model.logged.lanes.counts) > 0.0
-    moving = counts & (np.abs(np.asarray(fitted.track.course.velocity)) > SLOW)
-    energy = np.where(moving, course**2, 0.0)
+    moving = counts & (np.abs(np.asarray(fitted.filtered.trajectory.velocity)) > SLOW)
+    energy = np.where(moving, trajectory**2, 0.0)
     if not energy.any():
         return 0.0, None, None, None
     rms, log = float(np.sqrt(energy.sum() / moving.sum())), None

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from diffdrive.support.spans import rescaled
-from tuning.diagnosis.fits.leftover import WORTH
+from tuning.diagnosis.fits.goodness_of_fit import WORTH
 from tuning.diagnosis.gap.dependence import Dependence
 
 DIGITS = 2

@@ -23,11 +23,18 @@ from diffdrive.loop.rollout import rollout_loop
 from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import as_arrays
-from tuning.diagnosis.filter.exposure import Course
-from tuning.diagnosis.filter.following import LASTING, LOST, Slopes, Track, answers, per_innovation
-from tuning.diagnosis.fits.fitting import Fitted, Fitter, slopes_of
-from tuning.diagnosis.fits.leftover import BLIND
-from tuning.diagnosis.fits.trust import share_lost
+from tuning.diagnosis.filter.effect_signals import Trajectory
+from tuning.diagnosis.filter.ekf import (
+    DISTURBANCE_TIME,
+    LOST,
+    EkfResult,
+    StepJacobians,
+    force_per_innovation,
+    innovations_of_forcings,
+)
+from tuning.diagnosis.fits.fitting import Fitted, Fitter, compiled_step_jacobians
+from tuning.diagnosis.fits.goodness_of_fit import BLIND
+from tuning.diagnosis.fits.reference_noise import share_lost
 from tuning.diagnosis.hypotheses.model import Model, Vector, counted_in, delay_of
 from tuning.identification.replay import ReplayInputs, initial_loop_state, replay_inputs
 
@@ -47,7 +54,7 @@ class ForceGap(NamedTuple):
     """The force that a model lacks along the logs, [lanes, n] each."""
 
     force: Float[np.ndarray, "lanes n"]  # N, zero where it does not count
-    course: Course
+    trajectory: Trajectory
     surprise: Float[np.ndarray, "lanes n"]  # energy of what a filter that trusts the model did not foresee
     counts: Float[np.ndarray, "lanes n"]  # ones where the table slides: at rest, its friction may be anything
     lost: float = 0.0  # share of the samples at which the filter was lost, whatever the table did
@@ -89,34 +96,40 @@ def sliding(velocity: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.nda
     return 1.0 - scipy.ndimage.maximum_filter1d(slow, width, axis=1)
 
 
-def _counting(every: Float[np.ndarray, "lanes n"], track: Track, rate: float) -> Float[np.ndarray, "lanes n"]:
+def _counting(every: Float[np.ndarray, "lanes n"], filtered: EkfResult, rate: float) -> Float[np.ndarray, "lanes n"]:
     """Ones where the force counts: where the table slides, or wherever it was measured if it hardly ever does."""
-    sliding_there = every * sliding(np.asarray(track.course.velocity), rate)
+    sliding_there = every * sliding(np.asarray(filtered.trajectory.velocity), rate)
     return sliding_there if sliding_there.sum() > SLID * every.sum() else every
 
 
-def force_gap(fitter: Fitter, fitted: Fitted, model: Model, u: Vector, process: Float[np.ndarray, " 2"]) -> ForceGap:
+def force_gap(
+    fitter: Fitter, fitted: Fitted, model: Model, theta: Vector, process_noise: Float[np.ndarray, " 2"]
+) -> ForceGap:
     """The force that a model lacks for a filter with these process forces (`comparing`), its effects stepped along
     the track of `fitted`; the sudden one too, where it may invent more of that than it has to.
     """
-    track = fitter.at(model, u, process, fitted.track.course).track
+    filtered = fitter.at(model, theta, process_noise, fitted.filtered.trajectory).filtered
     rate = fitter.logged.sampling.rate
     every = np.asarray(fitter.logged.lanes.counts)
-    counts = _counting(every, track, rate)
-    trusting = fitter.at(model, u, np.maximum(fitted.process * TRUSTING, fitter.least), fitted.track.course).track
-    surprise = np.minimum((np.asarray(trusting.innovation) / np.asarray(trusting.scatter)) ** 2, LOST**2)
-    surprise = every * np.maximum(surprise - float(fitted.track.size), 0.0)
-    force = np.asarray(track.lacking) + _per_sudden(fitter, fitted, track, process) * np.asarray(track.innovation)
-    return ForceGap(force * counts, track.course, surprise, counts, share_lost(track, every))
+    counts = _counting(every, filtered, rate)
+    trusting = fitter.at(
+        model, theta, np.maximum(fitted.process_noise * TRUSTING, fitter.least), fitted.filtered.trajectory
+    ).filtered
+    surprise = np.minimum((np.asarray(trusting.innovation) / np.asarray(trusting.innovation_std)) ** 2, LOST**2)
+    surprise = every * np.maximum(surprise - float(fitted.filtered.noise_scale_sq), 0.0)
+    force = np.asarray(filtered.disturbance) + _per_sudden(fitter, fitted, filtered, process_noise) * np.asarray(
+        filtered.innovation
+    )
+    return ForceGap(force * counts, filtered.trajectory, surprise, counts, share_lost(filtered, every))
 
 
 def _per_sudden(
-    fitter: Fitter, fitted: Fitted, track: Track, process: Float[np.ndarray, " 2"]
+    fitter: Fitter, fitted: Fitted, filtered: EkfResult, process_noise: Float[np.ndarray, " 2"]
 ) -> Float[np.ndarray, "lanes n"] | float:
     """The sudden force (N) that the filter invents per metre of its innovations; none where it may have the least."""
-    if process[1] <= fitter.least:
+    if process_noise[1] <= fitter.least:
         return 0.0
-    return per_innovation(track, fitted.drive, fitter.logged.sampling.rate)
+    return force_per_innovation(filtered, fitted.drive, fitter.logged.sampling.rate)
 
 
 class LoopGap(NamedTuple):
@@ -133,10 +146,10 @@ def drive_of(fitted: Fitted, log: int) -> Drive:
     """The drive of a fit as it was on one of the logs: with its effects, their parameters those of that log."""
     lane = fitted.model.logged.owner.index(log)
     thinning = fitted.model.logged.thinning
-    mine = jax.tree.map(lambda leaf: leaf[lane], fitted.model.effects(fitted.u))
+    mine = jax.tree.map(lambda leaf: leaf[lane], fitted.model.effects(fitted.theta))
     effects = [counted_in(one, 1.0 / thinning) for one in mine]
     apart = [one for one in effects if isinstance(one, LoopDelay) and not 0.0 <= one.delay <= LONGEST_DELAY]
-    logged, own = fitted.model.logged, fitted.own
+    logged, own = fitted.model.logged, fitted.recalibrated_drive
     nominal, delay = thinning * float(logged.delay), thinning * float(delay_of(logged, own))
     late, actuator = delay + sum(float(one.delay) for one in apart), logged.drive.actuator
     if apart or delay != nominal:  # less delay than the drive file claims, or more than the effect can hold back
@@ -207,33 +220,41 @@ def loop_gap(
 
 @eqx.filter_jit
 def _told(
-    track: Track, linear: Slopes, off: Float[Array, "lanes n m"], sudden: Float[Array, "... 1"], period: float
+    filtered: EkfResult,
+    step_jacobians: StepJacobians,
+    off: Float[Array, "lanes n m"],
+    sudden: Float[Array, "... 1"],
+    period: float,
 ) -> Float[Array, "lanes n m"]:
     """The force that errors of the measurement, [lanes, n, m] (m), make a filter see, with `sudden` per innovation."""
     forcing = jnp.zeros((*off.shape[:2], 3, off.shape[2]))
-    error = answers(track, linear, forcing, -off, period) * track.scatter[..., None]
-    fade = float(np.exp(-period / LASTING))
+    error = (
+        innovations_of_forcings(filtered, step_jacobians, forcing, -off, period) * filtered.innovation_std[..., None]
+    )
+    ar1_coeff = float(np.exp(-period / DISTURBANCE_TIME))
 
     def one(pull: Float[Array, " n"], error: Float[Array, "n m"]) -> Float[Array, "n m"]:
         def body(force: Float[Array, " m"], at: PyTree) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
             own, e = at
-            force = fade * force + own * e
+            force = ar1_coeff * force + own * e
             return force, force
 
         return lax.scan(body, jnp.zeros(error.shape[-1]), (pull, error))[1]
 
-    return jax.vmap(one)(track.pull[3], error) + sudden * error
+    return jax.vmap(one)(filtered.kalman_gain[3], error) + sudden * error
 
 
-def force_noise(fitter: Fitter, fitted: Fitted, process: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "lanes n draws"]:
+def force_noise(
+    fitter: Fitter, fitted: Fitted, process_noise: Float[np.ndarray, " 2"]
+) -> Float[np.ndarray, "lanes n draws"]:
     """The force (N) that a model without a gap would seem to lack, from the measuring noise."""
     logged = fitter.logged
-    point = fitter.at(fitted.model, fitted.u, process, fitted.track.course)
-    linear = slopes_of(point.drive, point.acting, point.track, logged.lanes, logged.sampling)
-    noise = float(logged.noise) * np.sqrt(float(fitted.track.size))
+    point = fitter.at(fitted.model, fitted.theta, process_noise, fitted.filtered.trajectory)
+    step_jacobians = compiled_step_jacobians(point.drive, point.signals, point.filtered, logged.lanes, logged.sampling)
+    noise = float(logged.noise) * np.sqrt(float(fitted.filtered.noise_scale_sq))
     off = noise * np.random.default_rng(0).standard_normal((*logged.lanes.position.shape, NOISES))
-    sudden = jnp.asarray(_per_sudden(fitter, fitted, point.track, process))[..., None]
-    return np.asarray(_told(point.track, linear, jnp.asarray(off), sudden, logged.sampling.period))
+    sudden = jnp.asarray(_per_sudden(fitter, fitted, point.filtered, process_noise))[..., None]
+    return np.asarray(_told(point.filtered, step_jacobians, jnp.asarray(off), sudden, logged.sampling.period))
 
 
 def uncoupled(fitter: Fitter, base: Fitted) -> Fitted:
@@ -242,14 +263,14 @@ def uncoupled(fitter: Fitter, base: Fitted) -> Fitted:
         return base
     loose = tuple(one for one in base.model.members if not one.candidate.coupled)
     model = dataclasses.replace(base.model, logged=fitter.logged, members=loose)
-    return fitter.fit(model, base.u, base.process, base.track.course, 0)
+    return fitter.fit(model, base.theta, base.process_noise, base.filtered.trajectory, 0)
 
 
 def force_floor(
-    fitter: Fitter, fitted: Fitted, counts: Float[np.ndarray, "lanes n"], process: Float[np.ndarray, " 2"]
+    fitter: Fitter, fitted: Fitted, counts: Float[np.ndarray, "lanes n"], process_noise: Float[np.ndarray, " 2"]
 ) -> float:
     """Root mean square (N) of that force over the samples that count."""
-    return rms_of_noise(force_noise(fitter, fitted, process), counts)
+    return rms_of_noise(force_noise(fitter, fitted, process_noise), counts)
 
 
 def rms_of_noise(force: Float[np.ndarray, "lanes n draws"], counts: Float[np.ndarray, "lanes n"]) -> float:

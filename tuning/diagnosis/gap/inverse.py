@@ -19,7 +19,7 @@ from diffdrive.effects.base import Acts
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive
 from diffdrive.numerics.arrays import as_arrays
-from tuning.diagnosis.filter.exposure import Course, exposure
+from tuning.diagnosis.filter.effect_signals import Trajectory, effect_signals
 from tuning.identification.friction_along import friction_along
 from tuning.identification.inverse_dynamics import DYNAMICS
 from tuning.identification.prediction import Lanes
@@ -58,12 +58,12 @@ def _off(drive: Drive, log: Log, source: Stretch, dynamics: float) -> np.ndarray
     machine = stages.with_machine_effects(own, effects)
     period = 1.0 / source.rate
     rigid = friction_along(machine, velocity, load, period)
-    seen = Course(position, velocity, rigid.bristle, rigid.friction, jnp.zeros_like(velocity))
-    course = jax.tree.map(lambda signal: signal[None], seen)
+    seen = Trajectory(position, velocity, rigid.bristle, rigid.friction, jnp.zeros_like(velocity))
+    trajectory = jax.tree.map(lambda signal: signal[None], seen)
     in_lanes = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], effects)
     delay = jnp.asarray(own.actuator.delay_samples + float(own.actuator.delay_fraction or 0.0))
     begins = jnp.asarray([float(source.time[0] - log.time[0])])
-    acts = exposure(own, in_lanes, delay, lanes, course, sampling_of(source.rate, period), begins)
+    acts = effect_signals(own, in_lanes, delay, lanes, trajectory, sampling_of(source.rate, period), begins)
     none = jnp.zeros_like(velocity)
     bent = Acts(none, acts.coulomb[0], acts.gap[0], acts.viscous[0], none)
     needed = machine.plant.mass * acceleration + friction_along(machine, velocity, load, period, bent).friction

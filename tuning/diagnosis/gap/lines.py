@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft, ndimage
 
-from tuning.diagnosis.filter.following import per_innovation
+from tuning.diagnosis.filter.ekf import force_per_innovation
 from tuning.diagnosis.fits.fitting import Fitted
 
 MOST_PLACES = 2**21  # of a travel, told apart
@@ -32,8 +32,8 @@ def missing_force(fitted: Fitted) -> Float[np.ndarray, "lanes n"]:
     """The force (N) that the filter had to invent, the lasting and the sudden; zero where nothing was measured."""
     sampling = fitted.model.logged.sampling
     counts = np.asarray(fitted.model.logged.lanes.counts)
-    sudden = per_innovation(fitted.track, fitted.drive, sampling.rate) * np.asarray(fitted.track.innovation)
-    return (np.asarray(fitted.track.lacking) + sudden) * counts
+    sudden = force_per_innovation(fitted.filtered, fitted.drive, sampling.rate) * np.asarray(fitted.filtered.innovation)
+    return (np.asarray(fitted.filtered.disturbance) + sudden) * counts
 
 
 class Line(NamedTuple):

@@ -43,14 +43,16 @@ def split(fitter: Fitter, best: Fitted) -> Split:
     """
     logged = fitter.logged
     counts = np.asarray(logged.lanes.counts)
-    moves = counts * sliding(np.asarray(best.track.course.velocity), logged.sampling.rate)
+    moves = counts * sliding(np.asarray(best.filtered.trajectory.velocity), logged.sampling.rate)
     if moves.sum() <= SLID * counts.sum():
         moves = counts
     owner = np.array(logged.owner)
     travelled = _travelled(moves, owner)
     if logged.logs == 1:
         early, times = travelled <= TRAINED, of_session(best.model)
-        if np.all(told(best, early) | times) and np.all(told(best, ~early) | times | ~_of_effects(best.model)):
+        if np.all(determined(best, early) | times) and np.all(
+            determined(best, ~early) | times | ~_of_effects(best.model)
+        ):
             says = f"the last {100 * (1 - TRAINED):.0f} % of the motion held out"
             return Split(counts * early, counts * early, counts * ~early, [0], [], says)
     going = [
@@ -59,8 +61,8 @@ def split(fitter: Fitter, best: Fitted) -> Split:
     session = _of_session(best.model)
     for log in reversed(going) if logged.logs > 1 else ():
         mine = (owner == log)[:, None]
-        shown = told(best, counts * mine > 0, TOLD / logged.logs) | session | ~_of_effects(best.model)
-        if np.all(told(best, counts * ~mine > 0) | session) and np.all(shown):
+        shown = determined(best, counts * mine > 0, TOLD / logged.logs) | session | ~_of_effects(best.model)
+        if np.all(determined(best, counts * ~mine > 0) | session) and np.all(shown):
             return _held_out(best, counts * ~mine, counts * mine, moves * mine, log)
     fitted = _every_other(best, travelled, ~np.isin(owner, going)[:, None])
     which, whole = ("the log", "its end or the rest") if logged.logs == 1 else ("each log", "any one log or the others")
@@ -77,7 +79,7 @@ def _every_other(best: Fitted, travelled: Weights, still: Bool[np.ndarray, "lane
     still = still | (travelled <= 0.0) | (travelled >= 1.0)  # before its motion and after it
     ways = [(np.floor(travelled * TURNS) % 2 == first) | still for first in (0, 1)]
     needless = of_session(best.model) | ~_of_effects(best.model)
-    return next((way for way in ways if np.all(told(best, way) | needless)), ways[0])
+    return next((way for way in ways if np.all(determined(best, way) | needless)), ways[0])
 
 
 def _travelled(moves: Weights, owner: Int[np.ndarray, " lanes"]) -> Weights:
@@ -96,7 +98,7 @@ def _held_out(best: Fitted, train: Weights, there: Weights, moves: Weights, log:
     if not session.any():
         return Split(train, there, there, [log], [log], says)
     first = (np.cumsum(moves) <= 0.5 * moves.sum()).reshape(moves.shape)
-    known, seen = (told(best, (there * half) > 0) | ~session for half in (first, ~first))
+    known, seen = (determined(best, (there * half) > 0) | ~session for half in (first, ~first))
     if np.all(known) and np.all(seen | of_session(best.model)):
         return Split(train, there * first, there * ~first, [log], [log], f"{says}, {SESSION}its first half")
     return Split(train, there, there, [log], [log], f"{says}, {SESSION}it")
@@ -125,7 +127,7 @@ def _of_effects(model: Model) -> Bool[np.ndarray, " k"]:
     return np.arange(model.size) >= len(NAMES)
 
 
-def told(one: Fitted, fitted: Bool[np.ndarray, "lanes n"], least: float = TOLD) -> Bool[np.ndarray, " k"]:
+def determined(one: Fitted, fitted: Bool[np.ndarray, "lanes n"], least: float = TOLD) -> Bool[np.ndarray, " k"]:
     """Which of a fit's numbers these samples tell: at least such a share of what all do, or all tell less than the
     prior.
     """

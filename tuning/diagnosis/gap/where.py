@@ -18,7 +18,7 @@ import scipy.stats
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from tuning.diagnosis.filter.following import LASTING
+from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME
 from tuning.diagnosis.gap.gap import ForceGap
 from tuning.diagnosis.gap.lines import Standing, lines_in_position, lines_in_time, told_apart
 from tuning.identification.prediction import Lanes
@@ -66,9 +66,9 @@ class Motion(NamedTuple):
 def motion_of(gap: ForceGap, rate: float) -> Motion:
     """The filtered motion, its velocity smoothed over 10 ms and differentiated."""
     width = max(3, round(0.01 * rate))
-    velocity = scipy.ndimage.uniform_filter1d(np.asarray(gap.course.velocity), width, axis=1)
+    velocity = scipy.ndimage.uniform_filter1d(np.asarray(gap.trajectory.velocity), width, axis=1)
     acceleration = scipy.ndimage.uniform_filter1d(np.gradient(velocity, axis=1) * rate, width, axis=1)
-    return Motion(np.asarray(gap.course.position), velocity, acceleration, gap.counts)
+    return Motion(np.asarray(gap.trajectory.position), velocity, acceleration, gap.counts)
 
 
 def phases(motion: Motion, rate: float) -> dict[str, Labels]:
@@ -255,7 +255,7 @@ def _frequencies(gap: ForceGap, rate: float, noise: Float[np.ndarray, "lanes n d
     known = noise is not None and bool(np.all(np.isfinite(noise)))
     if noise is None or not known:
         white = np.random.default_rng(0).standard_normal(gap.force.shape)
-        noise = scipy.signal.lfilter([1.0], [1.0, -np.exp(-1.0 / (LASTING * rate))], white, axis=1)[..., None]
+        noise = scipy.signal.lfilter([1.0], [1.0, -np.exp(-1.0 / (DISTURBANCE_TIME * rate))], white, axis=1)[..., None]
     power, floor = (
         np.sum(np.abs(np.fft.rfft(one * gap.counts[..., None], axis=1)) ** 2, axis=(0, 2))
         for one in (gap.force[..., None], noise)

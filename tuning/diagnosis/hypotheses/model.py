@@ -20,8 +20,8 @@ from diffdrive.effects.base import Effect, Envelope
 from diffdrive.effects.transmission import Transmission
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar
-from tuning.diagnosis.filter.exposure import Course, Exposure, altered, exposure
-from tuning.diagnosis.filter.following import numbers
+from tuning.diagnosis.filter.effect_signals import EffectSignals, Trajectory, altered, effect_signals
+from tuning.diagnosis.filter.ekf import numbers
 from tuning.diagnosis.hypotheses.calibration import NAMES, TOLERANCE, calibrated, fraction_of_delay, tolerated
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.identification.prediction import Lanes
@@ -106,9 +106,9 @@ class Model:
     members: tuple[Member, ...] = ()
     prior: Float[np.ndarray, "b b"] = dataclasses.field(default_factory=partial(tolerated, TOLERANCE))
 
-    def calibration(self, u: Vector) -> Vector:
+    def calibration(self, theta: Vector) -> Vector:
         """The b of the recalibrated drive."""
-        return self.prior @ u[: len(NAMES)]
+        return self.prior @ theta[: len(NAMES)]
 
     @property
     def slots(self) -> list[tuple[int, str, int | None]]:
@@ -155,30 +155,30 @@ class Model:
         """Whether the details of an effect that is looked for differ from machine to machine."""
         return any(member.candidate.coarse and member.candidate.parameters for member in self.members)
 
-    def values(self, u: Vector) -> list[dict[str, Vector]]:
+    def values(self, theta: Vector) -> list[dict[str, Vector]]:
         """For each member, its parameters by name: one value for each log."""
         found = [dict(member.fixed) for member in self.members]
         table = [{name: np.full(self.logged.logs, value) for name, value in one.items()} for one in found]
         known = [{p.name: p for p in member.candidate.parameters} for member in self.members]
-        for number, (index, name, log) in zip(u[len(NAMES) :], self.slots, strict=True):
+        for number, (index, name, log) in zip(theta[len(NAMES) :], self.slots, strict=True):
             value = known[index][name].value(float(number))
             row = table[index].setdefault(name, np.zeros(self.logged.logs))
             row[slice(None) if log is None else log] = value
         return table
 
-    def effects(self, u: Vector) -> tuple[Effect, ...]:
+    def effects(self, theta: Vector) -> tuple[Effect, ...]:
         """The effects at u, each parameter an array over the lanes."""
         found = []
-        for member, values in zip(self.members, self.values(u), strict=True):
+        for member, values in zip(self.members, self.values(theta), strict=True):
             found.append(effect_in_lanes(member.candidate.effect, values, self.logged.owner))
         return tuple(found)
 
-    def possible(self, u: Vector) -> bool:
+    def possible(self, theta: Vector) -> bool:
         """Whether a machine can have the effects as they are here; less than no delay corrects the drive file.
 
         The simulator would refuse any other: a scale that counts backwards, say, whose steep wave fits what it likes.
         """
-        for member, values, effect in zip(self.members, self.values(u), self.effects(u), strict=True):
+        for member, values, effect in zip(self.members, self.values(theta), self.effects(theta), strict=True):
             fields = {one.name: one.metadata["quantity"] for one in dataclasses.fields(member.candidate.effect)}
             if member.candidate.effect is LoopDelay or not member.candidate.parameters:
                 continue
@@ -191,18 +191,18 @@ class Model:
         return True
 
     def apart(self, effects: tuple[A, ...]) -> tuple[tuple[A, ...], tuple[A, ...]]:
-        """Those that are stepped along a course, and those that are stepped within the filter."""
+        """Those that are stepped along a trajectory, and those that are stepped within the filter."""
         both = list(zip(self.members, effects, strict=True))
         return (
             tuple(effect for member, effect in both if not member.candidate.coupled),
             tuple(effect for member, effect in both if member.candidate.coupled),
         )
 
-    def tangents(self, u: Vector) -> tuple[tuple[Effect, ...], int]:
+    def tangents(self, theta: Vector) -> tuple[tuple[Effect, ...], int]:
         """Derivatives of `effects` with respect to every number behind the calibration's, stacked, and how many."""
-        base = self.effects(u)
+        base = self.effects(theta)
         rows = []
-        for number, (index, name, log) in zip(u[len(NAMES) :], self.slots, strict=True):
+        for number, (index, name, log) in zip(theta[len(NAMES) :], self.slots, strict=True):
             parameter = next(p for p in self.members[index].candidate.parameters if p.name == name)
             here = np.array([log is None or log == owner for owner in self.logged.owner], float)
             here *= parameter.slope(float(number))
@@ -250,47 +250,49 @@ def delay_of(logged: Logged, own: Drive) -> Scalar:
     return logged.delay + (fraction_of_delay(own) - fraction_of_delay(logged.drive)) / logged.thinning
 
 
-def _acts(logged: Logged, own: Drive, effects: tuple[Effect, ...], course: Course) -> Exposure:
+def _acts(logged: Logged, own: Drive, effects: tuple[Effect, ...], trajectory: Trajectory) -> EffectSignals:
     ahead = 0.5 / logged.loop_samples if logged.loop_samples > 1 else 0.0
     delay = delay_of(logged, own)
-    return exposure(own, effects, delay, logged.lanes, course, logged.sampling, logged.starts, ahead)
+    return effect_signals(own, effects, delay, logged.lanes, trajectory, logged.sampling, logged.starts, ahead)
 
 
 @eqx.filter_jit
-def exposed(logged: Logged, own: Drive, effects: tuple[Effect, ...], course: Course) -> Exposure:
-    """What the effects do along a course."""
-    return _acts(logged, own, effects, course)
+def signals_along(logged: Logged, own: Drive, effects: tuple[Effect, ...], trajectory: Trajectory) -> EffectSignals:
+    """What the effects do along a trajectory."""
+    return _acts(logged, own, effects, trajectory)
 
 
 @eqx.filter_jit
-def exposure_by_machine(logged: Logged, b: Float[Array, " b"], effects: tuple[Effect, ...], course: Course) -> Exposure:
+def signals_by_calibration(
+    logged: Logged, b: Float[Array, " b"], effects: tuple[Effect, ...], trajectory: Trajectory
+) -> EffectSignals:
     """Derivatives of what the effects do, [lanes, n, b], with respect to the calibration."""
 
-    def at(b: Float[Array, " b"]) -> Exposure:
-        return _acts(logged, calibrated(logged.drive, b), effects, course)
+    def at(b: Float[Array, " b"]) -> EffectSignals:
+        return _acts(logged, calibrated(logged.drive, b), effects, trajectory)
 
     return jax.vmap(lambda way: _even(jax.jvp(at, (b,), (way,))[1]), out_axes=-1)(jnp.eye(len(b)))
 
 
 @eqx.filter_jit
-def exposure_slopes(
-    logged: Logged, own: Drive, effects: tuple[Effect, ...], tangents: tuple[Effect, ...], course: Course
-) -> Exposure:
+def signals_jvp(
+    logged: Logged, own: Drive, effects: tuple[Effect, ...], tangents: tuple[Effect, ...], trajectory: Trajectory
+) -> EffectSignals:
     """Derivatives of what the effects do, [lanes, n, m], in the directions `tangents`, which are stacked."""
 
-    def at(effects: tuple[Effect, ...]) -> Exposure:
-        return _acts(logged, own, effects, course)
+    def at(effects: tuple[Effect, ...]) -> EffectSignals:
+        return _acts(logged, own, effects, trajectory)
 
     return jax.vmap(lambda way: _even(jax.jvp(at, (effects,), (way,))[1]), out_axes=-1)(tangents)
 
 
-def _even(acts: Exposure) -> Exposure:
+def _even(acts: EffectSignals) -> EffectSignals:
     """Without its ripple: that of a small change moves nothing."""
     return acts._replace(ripple=None)
 
 
 @eqx.filter_jit
-def machine_slopes(
+def parameter_jacobian(
     logged: Logged, b: Float[Array, " b"], effects: tuple[Effect, ...], tangents: tuple[Effect, ...] | None
 ) -> Float[Array, "p k"]:
     """Derivatives of the machine's numbers with respect to b and in the directions `tangents`."""

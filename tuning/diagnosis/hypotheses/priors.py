@@ -35,14 +35,14 @@ class Parameter(NamedTuple):
     session: bool = False
     amplitude: bool = False  # the effect is linear in it and gone where it is zero
 
-    def value(self, u: float) -> float:
-        """At `u` standard deviations from the middle."""
-        return float(self.scale.back(self.scale.of(self.middle) + u * self.spread))
+    def value(self, theta: float) -> float:
+        """At `theta` standard deviations from the middle."""
+        return float(self.scale.back(self.scale.of(self.middle) + theta * self.spread))
 
     def standard(self, value: float) -> float:
         """The inverse."""
         return float((self.scale.of(value) - self.scale.of(self.middle)) / self.spread)
 
-    def slope(self, u: float) -> float:
+    def slope(self, theta: float) -> float:
         """Of the value, by u."""
-        return self.spread * self.scale.slope(self.value(u))
+        return self.spread * self.scale.slope(self.value(theta))

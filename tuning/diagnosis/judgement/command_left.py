@@ -16,9 +16,9 @@ from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import ActuatorEffect
 from diffdrive.model.actuator import saturate
 from diffdrive.model.current_loop import mean_forces
-from tuning.diagnosis.filter.exposure import Exposure
+from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.fits.curvature import solved
-from tuning.diagnosis.fits.fitting import Fitted, answered
+from tuning.diagnosis.fits.fitting import Fitted, innovation_jvp
 from tuning.diagnosis.gap.gap import sliding
 from tuning.diagnosis.hypotheses.model import delay_of
 from tuning.diagnosis.judgement.verdict import Verdict
@@ -41,12 +41,12 @@ def follows_command(fitted: Fitted) -> float:
     Where the table is slow, the counts of its scale are no noise, and the command follows them: it tells nothing, nor
     where it hardly slides, and its friction may be anything.
     """
-    logged, velocity = fitted.model.logged, np.asarray(fitted.track.course.velocity)
+    logged, velocity = fitted.model.logged, np.asarray(fitted.filtered.trajectory.velocity)
     quick = np.abs(velocity) * logged.sampling.period >= QUICK * float(logged.noise)
     telling = (quick & (sliding(velocity, logged.sampling.rate) > 0.0)).reshape(-1, 1)
     answers = np.asarray(_answers(fitted)).reshape(fitted.residual.size, -1)
     answers = np.where(telling & (fitted.residual[:, None] != 0.0), answers, 0.0)
-    left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
+    left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.theta)
     cross = fitted.jacobian.T @ answers
     making_way = solved(fitted.hessian, cross)
     bent = answers.T @ answers - cross.T @ making_way + np.eye(TAPS) / SHARE**2
@@ -58,7 +58,7 @@ def follows_command(fitted: Fitted) -> float:
     return float(np.sum(np.clip(pieces, -SINGLE, SINGLE)))
 
 
-def doubted_by_command(verdict: Verdict, found: Explanation) -> Verdict:
+def downgraded_by_command(verdict: Verdict, found: Explanation) -> Verdict:
     """No sure cause that leaves what follows the command, and among them an effect between command and force.
 
     Without such an effect much has to: half a microsecond between the clocks of scale and command is seen this way (150
@@ -69,11 +69,11 @@ def doubted_by_command(verdict: Verdict, found: Explanation) -> Verdict:
     if verdict.verdict != "effect" or best.model.coarse or best.model.coupled:
         return verdict
     rounds = found.rounds[: best.model.added]
-    acting = [one for one in rounds if issubclass(one.fits[0].model.members[-1].candidate.effect, ActuatorEffect)]
-    gains = [one.before.cost - one.fits[0].cost for one in acting] or [found.base.cost - best.cost]
-    if not follows_command(best) > max(FOLLOWING if acting else CLOCKS, FOLLOWS * min(gains)):
+    signals = [one for one in rounds if issubclass(one.fits[0].model.members[-1].candidate.effect, ActuatorEffect)]
+    gains = [one.before.cost - one.fits[0].cost for one in signals] or [found.base.cost - best.cost]
+    if not follows_command(best) > max(FOLLOWING if signals else CLOCKS, FOLLOWS * min(gains)):
         return verdict
-    return verdict.doubted(
+    return verdict.downgraded(
         "what is left follows the command: the actuator, or what lies between it and the table, answers otherwise"
     )
 
@@ -83,17 +83,19 @@ def _answers(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     logged = fitted.model.logged
     force = _last_commands(fitted)
     none = jnp.zeros_like(force)
-    still = jnp.zeros((fitted.linear.machine.shape[-1], TAPS))
-    pushed = Exposure(force, none, none, none, none, none, none)
-    found = answered(fitted.track, fitted.linear, still, pushed, logged.lanes.counts, logged.sampling.period)
-    return found / jnp.sqrt(fitted.track.size)
+    still = jnp.zeros((fitted.step_jacobians.machine.shape[-1], TAPS))
+    pushed = EffectSignals(force, none, none, none, none, none, none)
+    found = innovation_jvp(
+        fitted.filtered, fitted.step_jacobians, still, pushed, logged.lanes.counts, logged.sampling.period
+    )
+    return found / jnp.sqrt(fitted.filtered.noise_scale_sq)
 
 
 def _last_commands(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     """From one sample sooner than the delay that the model has, if that is one or more, to older ones."""
     logged = fitted.model.logged
-    delays = [effect.delay for effect in fitted.model.effects(fitted.u) if isinstance(effect, LoopDelay)]
-    late = float(delay_of(logged, fitted.own)) + sum(float(np.max(one)) for one in delays)
+    delays = [effect.delay for effect in fitted.model.effects(fitted.theta) if isinstance(effect, LoopDelay)]
+    late = float(delay_of(logged, fitted.recalibrated_drive)) + sum(float(np.max(one)) for one in delays)
     actuator, period = logged.drive.actuator, logged.sampling.period
     limited = cast(Array, saturate(actuator, logged.lanes.command))  # of an array, it is one
     command = jax.vmap(lambda requests: mean_forces(actuator, requests, period))(limited)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-from tuning.diagnosis.filter.following import LOST
+from tuning.diagnosis.filter.ekf import LOST
 from tuning.diagnosis.fits.fitting import Fitted
 from tuning.diagnosis.judgement.verdict import Verdict
 
@@ -35,9 +35,9 @@ def least_foreseen(fitted: Fitted) -> Event:
     Where the filter is lost it begins again: one count that went astray is no event, nor what follows of it. A table
     that rests shows no noise: that makes what moves no less noisy than was expected.
     """
-    logged, track = fitted.model.logged, fitted.track
-    unit = np.asarray(track.scatter) * np.sqrt(max(float(track.size), 1.0))
-    off = np.abs(np.asarray(track.innovation) / unit)
+    logged, filtered = fitted.model.logged, fitted.filtered
+    unit = np.asarray(filtered.innovation_std) * np.sqrt(max(float(filtered.noise_scale_sq), 1.0))
+    off = np.abs(np.asarray(filtered.innovation) / unit)
     astray = ~(off <= LOST)
     for _ in range(SETTLED):
         astray[:, 1:] |= astray[:, :-1]
@@ -55,7 +55,7 @@ def _summed(each: Float[np.ndarray, "lanes n"], wide: int) -> Float[np.ndarray, 
     return np.lib.stride_tricks.sliding_window_view(each, wide, axis=1).sum(axis=2)
 
 
-def doubted_by_event(verdict: Verdict, fitted: Fitted) -> Verdict:
+def downgraded_by_event(verdict: Verdict, fitted: Fitted) -> Verdict:
     """`unknown` in the place of `none` where something happens that the drive does not foresee."""
     if verdict.verdict != "none":
         return verdict
@@ -69,4 +69,4 @@ def doubted_by_event(verdict: Verdict, fitted: Fitted) -> Verdict:
         f"{logged.owner[event.lane] + 1} the table moves as neither it nor any effect that was looked for predicts "
         f"(noise does so once in 1e{-event.decades:.0f} logs)"
     )
-    return verdict.doubted(says)._replace(says=says)
+    return verdict.downgraded(says)._replace(says=says)

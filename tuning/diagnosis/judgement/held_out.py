@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tuning.diagnosis.fits.leftover import IMPOSSIBLE, WORTH, credible, relieves
-from tuning.diagnosis.judgement.ladder import Rung, known_floor
+from tuning.diagnosis.fits.goodness_of_fit import IMPOSSIBLE, WORTH, is_plausible, relieves
+from tuning.diagnosis.judgement.ladder import ModelComparison, known_floor
 from tuning.diagnosis.judgement.verdict import Verdict
 from tuning.diagnosis.selection.explain import Explanation
 
@@ -19,7 +19,7 @@ DETAILS = 2.5  # times its floor: more than what the details of a coarse effect 
 SEEN = 2.0  # times its floor: the gap in closed loop that tells something, and a floor that tells nothing
 
 
-class Closed(NamedTuple):
+class GapReduction(NamedTuple):
     """Share of what recalibration left beyond the floor that is gone, with its 95 % interval."""
 
     share: float
@@ -27,7 +27,7 @@ class Closed(NamedTuple):
     high: float
 
 
-def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
+def gap_reduction(before: ModelComparison, after: ModelComparison, rate: float) -> GapReduction | None:
     """From one rung to another, in mean squares; None where the first leaves nothing beyond the floor to be closed, or
     as well may leave nothing, and the interval excludes nothing.
 
@@ -38,7 +38,7 @@ def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
     floors = np.array([after.floor if alike else before.floor, after.floor])
     squares = [np.r_[one.force.rms**2, one.force.drawn(rate)] for one in (before, after)]
     if not np.all(np.isfinite([*floors, *squares[0], *squares[1]])) or not after.force.told:
-        return Closed(0.0, 0.0, 0.0)
+        return GapReduction(0.0, 0.0, 0.0)
     if not before.force.told:
         return None
     least = (HIDDEN**2 - 1.0) * floors[0] ** 2
@@ -53,39 +53,43 @@ def closed(before: Rung, after: Rung, rate: float) -> Closed | None:
     perhaps = np.percentile(squares[0][1:], 2.5) < (HIDDEN * floors[0]) ** 2  # there was nothing to be closed
     if perhaps and low <= 0.0 and high >= 1.0 and squares[1][0] <= squares[0][0]:
         return None
-    return Closed(float(shares[0]), float(low), float(high))
+    return GapReduction(float(shares[0]), float(low), float(high))
 
 
-def closing(found: Explanation, rungs: list[Rung], rate: float) -> list[float | None]:
+def gap_reductions(found: Explanation, comparisons: list[ModelComparison], rate: float) -> list[float | None]:
     """Of each effect found, the share that it surely takes of what the rung before it leaves beyond the floor, at the
     low end of its interval; none where what was found cannot be, or foresees what is held out worse than nothing.
     """
     gained = found.base.evidence - found.best.evidence
-    if len(rungs) <= 2 or not credible(found.best) or denied(rungs[-1], rungs[1], gained):
+    if (
+        len(comparisons) <= 2
+        or not is_plausible(found.best)
+        or fails_validation(comparisons[-1], comparisons[1], gained)
+    ):
         return []
-    steps = [closed(before, after, rate) for before, after in itertools.pairwise(rungs[1:])]
+    steps = [gap_reduction(before, after, rate) for before, after in itertools.pairwise(comparisons[1:])]
     return [None if one is None else one.low for one in steps]
 
 
-def left_in_loop(rungs: list[Rung]) -> float | None:
+def left_in_loop(comparisons: list[ModelComparison]) -> float | None:
     """Share of the recalibrated drive's gap in closed loop that the last rung leaves; None where the loop cannot tell.
 
     Beside another effect that closes the gap, one whose details differ must have closed most of what it found there.
     """
-    if len(rungs) <= 2:
+    if len(comparisons) <= 2:
         return None
-    share = _left(rungs[1], rungs[-1])
+    share = _left(comparisons[1], comparisons[-1])
     if share is None or share >= PROVED:
         return share
     steps = [
         _left(before, after)
-        for before, after in itertools.pairwise(rungs[1:])
+        for before, after in itertools.pairwise(comparisons[1:])
         if after.fitted.model.members[-1].candidate.coarse
     ]
     return share if all(one is not None and one < PROVED for one in steps) else None
 
 
-def _left(before: Rung, after: Rung) -> float | None:
+def _left(before: ModelComparison, after: ModelComparison) -> float | None:
     """Share of the gap in closed loop, in mean squares, that one rung leaves of another's, of position or command the
     larger; None where there is hardly any, or where it is not known.
 
@@ -106,20 +110,22 @@ def _left(before: Rung, after: Rung) -> float | None:
     return max(shares, default=None)
 
 
-def upheld(found: Explanation, rungs: list[Rung]) -> tuple[Explanation, list[Rung]]:
+def prune_on_validation(
+    found: Explanation, comparisons: list[ModelComparison]
+) -> tuple[Explanation, list[ModelComparison]]:
     """Without the further effects that foresee the held-out logs worse than fewer effects do."""
     for number in range(1, found.best.model.added):
-        without, more = rungs[number + 1], rungs[number + 2]
+        without, more = comparisons[number + 1], comparisons[number + 2]
         gained = found.rounds[number].before.evidence - found.rounds[number].fits[0].evidence
-        if denied(more, without, gained):
+        if fails_validation(more, without, gained):
             believed, withdrawn = found.rounds[:number], found.rounds[number:]
             rounds = [*believed, *(one._replace(enough=np.inf) for one in withdrawn)]
             fewer = found.rounds[number].before  # against which what another way found with more effects is no rival
-            return found._replace(rounds=rounds, best=fewer, other=None), rungs[: number + 2]
-    return found, rungs
+            return found._replace(rounds=rounds, best=fewer, other=None), comparisons[: number + 2]
+    return found, comparisons
 
 
-def denied(more: Rung, fewer: Rung, gained: float) -> bool:
+def fails_validation(more: ModelComparison, fewer: ModelComparison, gained: float) -> bool:
     """Whether the held-out logs are foreseen worse with more effects: by more than chance, and than a little.
 
     Numbers that no machine of this drive file can have may foresee a little better: they deny nothing. A filter that
@@ -135,7 +141,7 @@ def denied(more: Rung, fewer: Rung, gained: float) -> bool:
     return bool(worse.sum() > max(WORTH, DENIED * gained, SURELY * np.sqrt(worse.size) * np.std(worse)))
 
 
-def confirmed(verdict: Verdict, rungs: list[Rung], share: Closed | None) -> Verdict:
+def confirmed(verdict: Verdict, comparisons: list[ModelComparison], share: GapReduction | None) -> Verdict:
     """No sure cause that foresees the held-out logs worse than the recalibrated drive, leaves most of their gap, or is
     one that may leave details and leaves plainly more than noise makes.
     """
@@ -143,14 +149,14 @@ def confirmed(verdict: Verdict, rungs: list[Rung], share: Closed | None) -> Verd
     names = " and ".join(one.effect for one in verdict.beliefs if one.found)
     if not names:
         return verdict
-    if denied(rungs[-1], rungs[1], gained):
-        return verdict.doubted("the held-out data are predicted worse than without")
+    if fails_validation(comparisons[-1], comparisons[1], gained):
+        return verdict.downgraded("the held-out data are predicted worse than without")
     if share is not None and (share.share < PROVED or share.low <= 0.0):
         gone = f"{100 * share.share:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f})"
-        return verdict.doubted(f"in the held-out data only {gone} of the missing force is gone")
-    last = rungs[-1]
-    floor = known_floor(rungs, last) if last.fitted.model.coarse and last.force.told else None
+        return verdict.downgraded(f"in the held-out data only {gone} of the missing force is gone")
+    last = comparisons[-1]
+    floor = known_floor(comparisons, last) if last.fitted.model.coarse and last.force.told else None
     if floor is not None and last.force.rms > DETAILS * floor:
         times = last.force.rms / floor
-        return verdict.doubted(f"the force still missing in the held-out data is {times:.1f} times its floor")
+        return verdict.downgraded(f"the force still missing in the held-out data is {times:.1f} times its floor")
     return verdict

@@ -12,12 +12,12 @@ from jaxtyping import Float
 
 from diffdrive.controllers import Controller
 from diffdrive.logs import Log
-from tuning.diagnosis.filter.following import LOST, Track
+from tuning.diagnosis.filter.ekf import LOST, EkfResult
 from tuning.diagnosis.fits.fitting import NEAR, Fitted, Fitter
+from tuning.diagnosis.fits.reference_noise import Forces, least_following, reference_process_noise
 from tuning.diagnosis.fits.threads import in_parallel
-from tuning.diagnosis.fits.trust import Forces, comparing, least_following
 from tuning.diagnosis.gap.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap, uncoupled
-from tuning.diagnosis.gap.splitting import Split, of_session, split, told
+from tuning.diagnosis.gap.splitting import Split, determined, of_session, split
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.selection.explain import Explanation
 
@@ -25,7 +25,7 @@ PIECE = 0.25  # s, over which two models are compared on what is held out
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
 
 
-class Rung(NamedTuple):
+class ModelComparison(NamedTuple):
     """One model on the logs that were held out."""
 
     name: str
@@ -44,12 +44,12 @@ class Rung(NamedTuple):
         return float(np.sum(self.unlikely))
 
 
-def known_floor(rungs: list[Rung], rung: Rung) -> float | None:
+def known_floor(comparisons: list[ModelComparison], comparison: ModelComparison) -> float | None:
     """N: the floor of one of the rungs; None where it cannot be told. With effects within the filter it may be the
     recalibrated drive's.
     """
-    filtered = rungs[1] if rung.fitted.model.coupled else rung
-    return rung.floor if filtered.force.told and np.isfinite(rung.floor) else None
+    filtered = comparisons[1] if comparison.fitted.model.coupled else comparison
+    return comparison.floor if filtered.force.told and np.isfinite(comparison.floor) else None
 
 
 def _counting(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
@@ -64,32 +64,32 @@ def _at_control(fitter: Fitter, counts: Float[np.ndarray, "lanes n"], log: int) 
     return np.repeat(counts[mine], fitter.logged.thinning, axis=1)
 
 
-def _unlikely(track: Track, counts: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.ndarray, " pieces"]:
-    """The track's deviance, less the number of samples, in pieces of time."""
-    size, scatter = float(track.size), np.asarray(track.scatter)
-    squares = np.minimum((np.asarray(track.innovation) / scatter) ** 2, LOST**2)
+def _unlikely(filtered: EkfResult, counts: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.ndarray, " pieces"]:
+    """The filter's deviance, less the number of samples, in pieces of time."""
+    size, scatter = float(filtered.noise_scale_sq), np.asarray(filtered.innovation_std)
+    squares = np.minimum((np.asarray(filtered.innovation) / scatter) ** 2, LOST**2)
     each = counts * (squares / size - 1.0 + np.log(size) + 2.0 * np.log(scatter))
     begins = np.arange(0, counts.shape[1], max(1, round(PIECE * rate)))
     return np.add.reduceat(each, begins, axis=1)[np.add.reduceat(counts, begins, axis=1) > 0]
 
 
-def _told_by(fitter: Fitter, one: Fitted, process: Forces) -> tuple[ForceGap, Forces]:
+def _told_by(fitter: Fitter, one: Fitted, process_noise: Forces) -> tuple[ForceGap, Forces]:
     """The force that a model lacks, and the filter that tells it: the one that follows the recalibrated drive, or where
     it is lost with this model or has to follow a screw that was found, one of its own that may invent less that lasts.
 
     A worn screw needs a force of hundreds of newtons invented where no gap is known; in a filter that may invent so
     much, nothing keeps the motor in its gap, and what the screw explains drowns in the noise.
     """
-    gap = force_gap(fitter, one, one.model, one.u, process)
+    gap = force_gap(fitter, one, one.model, one.theta, process_noise)
     own = least_following(fitter, one) if one.model.screw_found or not gap.told else None
-    if own is None or (gap.told and own[0] >= process[0]):
-        return gap, process
-    return force_gap(fitter, one, one.model, one.u, own), own
+    if own is None or (gap.told and own[0] >= process_noise[0]):
+        return gap, process_noise
+    return force_gap(fitter, one, one.model, one.theta, own), own
 
 
-def climb(
+def compare_models(
     fitter: Fitter, found: Explanation, logs: list[Log], controller: Controller | None
-) -> tuple[list[Rung], Split]:
+) -> tuple[list[ModelComparison], Split]:
     """Nominal, recalibrated, with one effect, with the next; simulated in closed loop where a controller is given and a
     log that is judged by has a reference.
     """
@@ -101,44 +101,46 @@ def climb(
         one = found.rounds[number].fits[0]
         chain.append((f"+ {one.model.members[-1].candidate.name}", one))
     believed = dataclasses.replace(base.model, logged=test.logged)
-    still = test.fit(believed, np.zeros(base.model.size), base.process, base.track.course, 0)
+    still = test.fit(believed, np.zeros(base.model.size), base.process_noise, base.filtered.trajectory, 0)
 
     def judged_by(one: Fitted) -> Fitted:
         model = dataclasses.replace(one.model, logged=train.logged)
         # what is of the session that is held out stays, to be registered from there: without data it would drift away
         away = [log in parts.whole for _, _, log in model.slots]
-        unknown = np.r_[[False] * len(NAMES), away] if parts.whole else of_session(model) & ~told(one, parts.train > 0)
-        trained = train.fit(model, one.u, one.process, one.track.course, CARRY, 1.0 - unknown)
+        unknown = (
+            np.r_[[False] * len(NAMES), away] if parts.whole else of_session(model) & ~determined(one, parts.train > 0)
+        )
+        trained = train.fit(model, one.theta, one.process_noise, one.filtered.trajectory, CARRY, 1.0 - unknown)
         session = np.array([0.0] * len(NAMES) + [float(log is not None) for _, _, log in model.slots])
-        u = trained.u
+        theta = trained.theta
         if parts.whole and session.any():
             model = dataclasses.replace(one.model, logged=there.logged)
-            u = there.fit(model, u, one.process, one.track.course, REGISTER, session).u
+            theta = there.fit(model, theta, one.process_noise, one.filtered.trajectory, REGISTER, session).theta
         model = dataclasses.replace(one.model, logged=test.logged)
-        return test.fit(model, u, one.process, one.track.course, 0)
+        return test.fit(model, theta, one.process_noise, one.filtered.trajectory, 0)
 
     carried = in_parallel(judged_by, [one for _, one in chain])
     fits = [("nominal", still), *zip([name for name, _ in chain], carried, strict=True)]
     rate = fitter.logged.sampling.rate
-    process = comparing(test, fits[1][1])
-    told_by = [(force_gap(test, one, one.model, one.u, process), process) for _, one in fits[:2]]
-    told_by += [_told_by(test, one, process) for _, one in fits[2:]]
+    process_noise = reference_process_noise(test, fits[1][1])
+    told_by = [(force_gap(test, one, one.model, one.theta, process_noise), process_noise) for _, one in fits[:2]]
+    told_by += [_told_by(test, one, process_noise) for _, one in fits[2:]]
     gaps = [gap for gap, _ in told_by]
     common = np.prod([gap.counts for gap in gaps], axis=0)  # each has its own velocity, and slides where that says so
     gaps = [gap.where(common) for gap in gaps] if common.any() else gaps
     drawn = [gap.drawn(rate) for gap in gaps]
 
-    def rung(asked: tuple[tuple[str, Fitted], ForceGap, Forces, Float[np.ndarray, " draws"]]) -> Rung:
-        (name, one), gap, process, squares = asked
+    def comparison(asked: tuple[tuple[str, Fitted], ForceGap, Forces, Float[np.ndarray, " draws"]]) -> ModelComparison:
+        (name, one), gap, process_noise, squares = asked
         # how far a model is trusted is chosen anew: one that fitted to the noise may be a little off elsewhere
-        there = test.at(one.model, one.u, one.process, one.track.course)
-        processes = np.vstack([one.process * NEAR, test.first, test.quiet(one.process)])
-        foreseen = test.with_process(there, one.model, processes)
+        there = test.at(one.model, one.theta, one.process_noise, one.filtered.trajectory)
+        processes = np.vstack([one.process_noise * NEAR, test.first, test.quiet(one.process_noise)])
+        predicted_twist = test.with_process(there, one.model, processes)
         ratio = 1.0 - squares / drawn[0]
         low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
         # with effects within the filter what noise makes of it is no linear matter, and may seem to grow without end
         alike = [one, uncoupled(test, fits[1][1])] if one.model.coupled else [one]
-        floors = [force_floor(test, each, gap.counts, process) for each in alike]
+        floors = [force_floor(test, each, gap.counts, process_noise) for each in alike]
         floor = min((each for each in floors if np.isfinite(each)), default=np.inf)
         loop = None
         closable = [log for log in parts.logs if logs[log].reference is not None]
@@ -149,10 +151,10 @@ def climb(
             counts = [_at_control(fitter, parts.test, log) for log in closable]
             loop = loop_gap(drives, controller, judged, counts, noise, fitter.logged.control)
         shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
-        return Rung(
+        return ModelComparison(
             name, one, gap, gap.interval(rate), floor, shrink, loop,
-            _unlikely(foreseen.track, parts.test, rate), process,
+            _unlikely(predicted_twist.filtered, parts.test, rate), process_noise,
         )  # fmt: skip
 
     trusting = [one for _, one in told_by]
-    return in_parallel(rung, list(zip(fits, gaps, trusting, drawn, strict=True))), parts
+    return in_parallel(comparison, list(zip(fits, gaps, trusting, drawn, strict=True))), parts

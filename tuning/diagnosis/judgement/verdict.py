@@ -13,16 +13,16 @@ from jaxtyping import Float
 from scipy.special import expit
 
 from tuning.diagnosis.fits.fitting import Fitted, Fitter
-from tuning.diagnosis.fits.leftover import (
+from tuning.diagnosis.fits.goodness_of_fit import (
     COARSE,
     IMPOSSIBLE,
     LEFT,
     STRAINED,
-    complete,
-    disbelieved,
-    furthest,
+    is_complete,
+    is_implausible,
+    largest_deviation_says,
+    max_prior_deviation,
     relieves,
-    strain,
     unexplained,
 )
 from tuning.diagnosis.selection.explain import Explanation
@@ -66,7 +66,7 @@ class Verdict(NamedTuple):
         """The same, with something to add."""
         return self._replace(says=f"{self.says}; {more}")
 
-    def doubted(self, why: str) -> "Verdict":
+    def downgraded(self, why: str) -> "Verdict":
         """The same causes, none of them sure."""
         joined = "but" if self.verdict == "effect" else "and"
         return self._replace(verdict="unknown", beliefs=_unsure(self.beliefs)).and_says(f"{joined} {why}")
@@ -113,7 +113,7 @@ def _shared(
     """The beliefs with what the search found on its other way as a rival of what differs from it; `surely` is how sure
     each effect that was found is before that, `certain` all others.
     """
-    if found.other is None or disbelieved(found.other.best, found.best):
+    if found.other is None or is_implausible(found.other.best, found.best):
         return beliefs
     mine, theirs = found.named - found.other.named, found.other.named - found.named
     gains = np.array([found.base.evidence - one.best.evidence for one in (found, found.other)])
@@ -184,13 +184,13 @@ def judge(
     """
     base, best = found.base, found.best
     effects = best.model.added
-    lacks = not complete(fitter, base)
-    share = unexplained(fitter, base, best) if lacks else 0.0
+    incomplete = not is_complete(fitter, base)
+    share = unexplained(fitter, base, best) if incomplete else 0.0
     told, gap = share, "the gap"
-    if lacks and best.model.coarse and in_loop is not None:
+    if incomplete and best.model.coarse and in_loop is not None:
         told, gap, closes = in_loop, "the gap in closed loop", ()  # a filter's share of force tells nothing then
     left = told / _may_leave(best)
-    known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if lacks else 1.0
+    known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if incomplete else 1.0
     sure = NEAREST + (1.0 - NEAREST) * known
     much_left = known < 0.5
     taking = [much_left and one is not None and one >= TAKEN for one in closes or [None] * effects]
@@ -204,12 +204,12 @@ def judge(
     beliefs = _at_most(SUREST, _one_of_each(_shared(beliefs, found, share, sure, surely)))
     beliefs.sort(key=lambda one: (not one.found, one.round if one.found else 0, -one.confidence))
     if not effects:
-        return _nothing_found(base, beliefs, lacks)
+        return _nothing_found(base, beliefs, incomplete)
     if not known >= 0.5:
         says = _closest(beliefs, taking, f"{100 * told:.0f} % of {gap}")
         return Verdict("unknown", _unsure(beliefs), share, says)
     much = f"{gap}, but for {100 * told:.0f} % of it" if told >= TOLD else gap
-    return _found(found, beliefs, lacks, share, much)
+    return _found(found, beliefs, incomplete, share, much)
 
 
 def _closest(beliefs: list[Belief], taking: Sequence[bool], rest: str) -> str:
@@ -225,13 +225,13 @@ def _closest(beliefs: list[Belief], taking: Sequence[bool], rest: str) -> str:
     return f"{says} {' and '.join(most)} {take} away {100 * TAKEN:.0f} % and more of its mean square"
 
 
-def _nothing_found(base: Fitted, beliefs: list[Belief], lacks: bool) -> Verdict:
+def _nothing_found(base: Fitted, beliefs: list[Belief], incomplete: bool) -> Verdict:
     """The verdict where no effect was worth it."""
-    if lacks:
+    if incomplete:
         says = "something is missing that no effect of the catalogue explains"
         return Verdict("unknown", _unsure(beliefs), 1.0, says)
-    if strain(base) >= STRAINED:
-        says = f"{furthest(base)}: the drive file is wrong by that much, or it makes up for an effect"
+    if max_prior_deviation(base) >= STRAINED:
+        says = f"{largest_deviation_says(base)}: the drive file is wrong by that much, or it makes up for an effect"
         return Verdict("unknown", _unsure(beliefs), 0.0, says)
     return Verdict("none", beliefs, 0.0, "the recalibrated drive explains the logs to the noise: no effect is missing")
 
@@ -239,18 +239,19 @@ def _nothing_found(base: Fitted, beliefs: list[Belief], lacks: bool) -> Verdict:
 def _beyond_no_gap(found: Explanation, named: str) -> str:
     """What is said of effects where recalibration leaves no gap: why it moved a number far, or what else they bring."""
     if relieves(found.best, found.base):
-        return f"recalibration hides the gap: {furthest(found.base)}, which {named} makes needless"
+        return f"recalibration hides the gap: {largest_deviation_says(found.base)}, which {named} makes needless"
     return f"the recalibrated drive explains the logs to the noise, and with {named} they are likelier still"
 
 
-def _found(found: Explanation, beliefs: list[Belief], lacks: bool, share: float, much: str) -> Verdict:
+def _found(found: Explanation, beliefs: list[Belief], incomplete: bool, share: float, much: str) -> Verdict:
     """The verdict on effects that leave only a `share` of the gap, and explain so `much`."""
     named = " and ".join(one.effect for one in beliefs if one.found)
     explains = "explain" if found.best.model.added > 1 else "explains"
-    if not lacks and strain(found.best) > IMPOSSIBLE:
-        says = f"recalibration hides the gap, and {named} {explains} it no better: still {furthest(found.best)}"
+    if not incomplete and max_prior_deviation(found.best) > IMPOSSIBLE:
+        still = largest_deviation_says(found.best)
+        says = f"recalibration hides the gap, and {named} {explains} it no better: still {still}"
         return Verdict("unknown", _unsure(beliefs), 0.0, says)
     others = sorted({name for one in beliefs if one.found for name in one.alternatives} - found.named)
-    says = f"{named} {explains} {much}" if lacks else _beyond_no_gap(found, named)
+    says = f"{named} {explains} {much}" if incomplete else _beyond_no_gap(found, named)
     says += f"; these logs do not exclude {', '.join(others)}" if others else ""
     return Verdict("effect", beliefs, share, says)

@@ -22,11 +22,11 @@ from numpy.typing import ArrayLike
 
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.catalogue import EFFECTS
-from tuning.diagnosis.filter.following import LOST
-from tuning.diagnosis.filter.second_encoder import foreseen, seen_by
+from tuning.diagnosis.filter.ekf import LOST
+from tuning.diagnosis.filter.second_encoder import predicted_twist, seen_by
 from tuning.diagnosis.fits.curvature import log_volume, solved
 from tuning.diagnosis.fits.fitting import Fitted, Fitter, Point
-from tuning.diagnosis.fits.leftover import relevant_forces
+from tuning.diagnosis.fits.goodness_of_fit import relevant_forces
 from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.hypotheses.candidate import WAVE, Candidate
 from tuning.diagnosis.hypotheses.model import Vector, effect_in_lanes
@@ -98,7 +98,7 @@ def small_amounts(fitter: Fitter, fitted: Fitted, catalogue: Sequence[Candidate]
 
 def allowed(fitter: Fitter, fitted: Fitted) -> Fitted:
     """The fit in a filter that allows every model the force which counts as nothing missing."""
-    return fitter.under(fitted, np.maximum(fitted.process, relevant_forces(fitter, fitted)))
+    return fitter.under(fitted, np.maximum(fitted.process_noise, relevant_forces(fitter, fitted)))
 
 
 def detection_limits(
@@ -156,11 +156,11 @@ def answers(fitter: Fitter, fitted: Fitted, candidate: Candidate, values: Values
     if fitter.twist is None:
         return Answers(labels, columns, np.zeros((0, len(labels))))
     logged, seen = fitted.model.logged, []
-    there = foreseen(fitted.model.effects(fitted.u), fitted.track)
+    there = predicted_twist(fitted.model.effects(fitted.theta), fitted.filtered)
     for one, log in labels:
         here = np.array([one.spread if log in (None, k) else 0.0 for k in range(logged.logs)])
         effect = effect_in_lanes(candidate.effect, values | {one.name: here}, logged.owner)
-        twist = foreseen((effect,), fitted.track) if candidate.twists else 0.0 * there
+        twist = predicted_twist((effect,), fitted.filtered) if candidate.twists else 0.0 * there
         seen.append(seen_by(fitter.twist, twist, there, logged.sampling.period))
     return Answers(labels, columns, np.stack(seen, axis=1))
 
@@ -283,13 +283,15 @@ def gains_at(fitter: Fitter, fitted: Fitted, candidate: Candidate, sizes: ArrayL
     usual, model = usual_values(candidate, logs), joined(fitted.model, candidate)
 
     def at(value: float) -> tuple[Point, Float[np.ndarray, "lanes n"]]:
-        u = np.r_[fitted.u, begin(model, usual | {one.name: np.full(logs, value)})]
-        point = fitter.at(model, u, fitted.process, fitted.track.course)
-        return point, foreseen(model.effects(u), point.track)
+        theta = np.r_[fitted.theta, begin(model, usual | {one.name: np.full(logs, value)})]
+        point = fitter.at(model, theta, fitted.process_noise, fitted.filtered.trajectory)
+        return point, predicted_twist(model.effects(theta), point.filtered)
 
-    there = fitter.at(fitted.model, fitted.u, fitted.process, fitted.track.course)
+    there = fitter.at(fitted.model, fitted.theta, fitted.process_noise, fitted.filtered.trajectory)
     before = (
-        (there, foreseen(fitted.model.effects(fitted.u), there.track)) if candidate.bare is None else at(candidate.bare)
+        (there, predicted_twist(fitted.model.effects(fitted.theta), there.filtered))
+        if candidate.bare is None
+        else at(candidate.bare)
     )
     gains = []
     for point, twist in (at(one.value(size)) for size in np.asarray(sizes, float)):

@@ -19,11 +19,11 @@ from diffdrive.effects.base import Effect
 from diffdrive.effects.stages import Effects
 from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import Drive
-from tuning.diagnosis.filter.exposure import Exposure
-from tuning.diagnosis.filter.following import Process, deviance_of, follow
+from tuning.diagnosis.filter.effect_signals import EffectSignals
+from tuning.diagnosis.filter.ekf import ProcessNoise, deviance_of, run_filter
 from tuning.diagnosis.fits.fitting import Fitted
 from tuning.diagnosis.gap.lines import missing_force
-from tuning.diagnosis.hypotheses.model import Logged, Model, Vector, effect_in_lanes, exposed, machine, stacked
+from tuning.diagnosis.hypotheses.model import Logged, Model, Vector, effect_in_lanes, machine, signals_along, stacked
 from tuning.identification.prediction import Lanes, initial_velocity
 from tuning.optimisation.evolution import Budget, evolve
 from tuning.store.store import Store, digest
@@ -42,7 +42,7 @@ class Stretches(NamedTuple):
     """Pieces of the logs side by side, and what acts there."""
 
     lanes: Lanes
-    under: Exposure
+    under: EffectSignals
     owner: tuple[int, ...]
 
 
@@ -63,7 +63,7 @@ def telling(fitted: Fitted) -> list[tuple[int, int]]:
     return found
 
 
-def cut(logged: Logged, under: Exposure, places: list[tuple[int, int]]) -> Stretches:
+def cut(logged: Logged, under: EffectSignals, places: list[tuple[int, int]]) -> Stretches:
     """The stretches that begin at `places`, each with its lead."""
     rate, n = logged.sampling.rate, logged.lanes.position.shape[1]
     lead = min(round(LEAD * rate), n // 4)
@@ -87,34 +87,36 @@ def _deviances(
     stretches: Stretches,
     coupled: Effects,
     push: Float[np.ndarray, " s"],
-    process: Float[np.ndarray, "s 2"],
+    process_noise: Float[np.ndarray, "s 2"],
     logged: Logged,
 ) -> Float[Array, " s"]:
-    def one(coupled: Effects, push: Float[Array, ""], process: Float[Array, " 2"]) -> Float[Array, ""]:
+    def one(coupled: Effects, push: Float[Array, ""], process_noise: Float[Array, " 2"]) -> Float[Array, ""]:
         under = stretches.under
         pushed = under._replace(force=under.force + push, beside=under.beside + push)
 
         def each(*stretch: PyTree) -> tuple[Array, Array]:  # all side by side: short as they are, that is faster
             lanes, under, coupled = jax.tree.map(lambda leaf: leaf[None], stretch)
-            track = follow(drive, under, coupled, Process(*process), logged.noise, lanes, logged.sampling)
-            return track.innovation[0], track.scatter[0]
+            filtered = run_filter(
+                drive, under, coupled, ProcessNoise(*process_noise), logged.noise, lanes, logged.sampling
+            )
+            return filtered.innovation[0], filtered.innovation_std[0]
 
         innovation, scatter = jax.vmap(each)(stretches.lanes, pushed, coupled)
         return deviance_of(innovation, scatter, stretches.lanes.counts)[0]
 
-    return lax.map(lambda each: one(*each), (coupled, push, process), batch_size=AT_ONCE)
+    return lax.map(lambda each: one(*each), (coupled, push, process_noise), batch_size=AT_ONCE)
 
 
 def evolved_once(
-    store: Store | None, fitted: Fitted, model: Model, index: int, u: Vector, seed: int | None = None
+    store: Store | None, fitted: Fitted, model: Model, index: int, theta: Vector, seed: int | None = None
 ) -> tuple[dict[str, Vector], np.ndarray]:
     """`evolved`, kept in the store or taken from there."""
     if store is None:
-        return evolved(fitted, model, index, u, seed)
-    key = digest("evolved", fitted.model, fitted.u, fitted.drive, fitted.track, model, index, u, seed)
+        return evolved(fitted, model, index, theta, seed)
+    key = digest("evolved", fitted.model, fitted.theta, fitted.drive, fitted.filtered, model, index, theta, seed)
     kept = store.read(key)
     if kept is None:
-        values, processes = evolved(fitted, model, index, u, seed)
+        values, processes = evolved(fitted, model, index, theta, seed)
         store.write(key, values | {PROCESSES: processes})
         return values, processes
     processes = kept.pop(PROCESSES)
@@ -122,17 +124,17 @@ def evolved_once(
 
 
 def evolved(
-    fitted: Fitted, model: Model, index: int, u: Vector, seed: int | None = None
+    fitted: Fitted, model: Model, index: int, theta: Vector, seed: int | None = None
 ) -> tuple[dict[str, Vector], np.ndarray]:
-    """The likeliest parameters of a coupled member of `model`, and process forces; all else is at `u`.
+    """The likeliest parameters of a coupled member of `model`, and process forces; all else is at `theta`.
 
-    `fitted` says where most is missing. With a `seed` the search begins at `u`, and in the middle without.
+    `fitted` says where most is missing. With a `seed` the search begins at `theta`, and in the middle without.
     """
     logged, candidate = model.logged, model.members[index].candidate
     others = dataclasses.replace(model, members=(*model.members[:index], *model.members[index + 1 :]))
-    effects = others.effects(u[~model.of_member(index)])
+    effects = others.effects(theta[~model.of_member(index)])
     loose, within = others.apart(effects)
-    own, drive = machine(logged, jnp.asarray(model.calibration(u)), effects)
+    own, drive = machine(logged, jnp.asarray(model.calibration(theta)), effects)
     free, level = candidate.parameters, float(coulomb(drive.friction, 1.0, 0.0))
 
     def values(share: Float[np.ndarray, " k"]) -> dict[str, Vector]:
@@ -145,12 +147,12 @@ def evolved(
 
     first = np.full(len(free) + 2, 0.5)
     if seed is not None:
-        there = [one.standard(float(model.values(u)[index][one.name][0])) for one in free]
+        there = [one.standard(float(model.values(theta)[index][one.name][0])) for one in free]
         first[: len(free)] = np.clip(0.5 + np.array(there) / (2 * REACH), 0.0, 1.0)
     places = telling(fitted)
     if not places:  # nothing is missing, or nobody can say where
         return values(first), forces(first)
-    stretches = cut(logged, exposed(logged, own, loose, fitted.track.course), places)
+    stretches = cut(logged, signals_along(logged, own, loose, fitted.filtered.trajectory), places)
 
     def in_stretches(share: Float[np.ndarray, " k"]) -> Effect:
         return effect_in_lanes(candidate.effect, values(share), stretches.owner)

@@ -9,25 +9,32 @@ import numpy as np
 
 from tuning.diagnosis.fits.curvature import limited, solved
 from tuning.diagnosis.fits.fitting import NEAR, Fitted, Fitter
-from tuning.diagnosis.fits.leftover import (
+from tuning.diagnosis.fits.goodness_of_fit import (
     IMPOSSIBLE,
     SLIGHT,
     STRAINED,
     WORTH,
     blind,
-    complete,
-    disbelieved,
-    meant,
+    comparable_parameters,
+    is_complete,
+    is_implausible,
+    max_prior_deviation,
     relieves,
-    strain,
     unexplained,
 )
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.model import Vector
-from tuning.diagnosis.selection.leading import brought_back, but_one, searched_again, to_its_end
-from tuning.diagnosis.selection.search import Progress, Round, apart_from, first_of_each, look, whole
-from tuning.diagnosis.selection.stages import Tell, of_round, untold
+from tuning.diagnosis.selection.refit import drop_effect, refit_from_nominal, searched_again, to_its_end
+from tuning.diagnosis.selection.search import (
+    Progress,
+    Round,
+    apart_from,
+    first_of_each,
+    is_sufficient,
+    select_next_effect,
+)
+from tuning.diagnosis.selection.stages import Tell, of_round, unheard
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
@@ -60,25 +67,28 @@ def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted |
     if not fits:
         return None
     best = fits[0]
-    processes = np.vstack([best.process * NEAR, before.process * NEAR])
-    ends = [before.u, *_without(before, best)]  # the first for the filter's process force alone, which may be another
-    begun = [fitter.at(before.model, u, best.process, best.track.course) for u in ends]
+    processes = np.vstack([best.process_noise * NEAR, before.process_noise * NEAR])
+    ends = [
+        before.theta,
+        *_without(before, best),
+    ]  # the first for the filter's process force alone, which may be another
+    begun = [fitter.at(before.model, theta, best.process_noise, best.filtered.trajectory) for theta in ends]
     there = min((fitter.with_process(one, before.model, processes) for one in begun), key=lambda one: one.cost)
     if before.cost - there.cost < WORTH:
         return None
-    further = fitter.fit(before.model, there.u, there.process, there.track.course)
-    return further if further.evidence < before.evidence and further.model.possible(further.u) else None
+    further = fitter.fit(before.model, there.theta, there.process_noise, there.filtered.trajectory)
+    return further if further.evidence < before.evidence and further.model.possible(further.theta) else None
 
 
 def _without(before: Fitted, best: Fitted) -> list[Vector]:
     """What `before` has free where a fit with one effect more ended: as it is, and moved to do without the effect."""
-    count = before.u.size
-    found, own = best.u[:count], best.jacobian[:, :count]
+    count = before.theta.size
+    found, own = best.theta[:count], best.jacobian[:, :count]
     known = {one.name: one for one in best.model.members[-1].candidate.parameters}
     amounts = np.array([known[name].amplitude for _, name, _ in best.model.slots[count - len(NAMES) :]])
     if not amounts.any():
         return [found]
-    taken = best.residual - best.jacobian[:, count:] @ (amounts * best.u[count:])
+    taken = best.residual - best.jacobian[:, count:] @ (amounts * best.theta[count:])
     step = -solved(own.T @ own + np.eye(count), own.T @ taken + found)
     return [found, found + limited(step)]
 
@@ -91,7 +101,7 @@ def evidence_needed(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fit
         return RELIEF
     slight = SLIGHTER if best.model.coarse or blind(fitter, base) else SLIGHT
     enough = max(RELIEF if ended else WORTH, slight * (base.evidence - best.evidence))
-    if fits and not best.model.coarse and complete(fitter, fits[0]):
+    if fits and not best.model.coarse and is_complete(fitter, fits[0]):
         return min(enough, RESOLVING)
     return enough
 
@@ -103,23 +113,23 @@ class _Search:
     fitter: Fitter
     progress: Progress
     most: int
-    tell: Tell = untold
+    tell: Tell = unheard
 
     def left(self, base: Fitted, one: Fitted) -> float:
         """The share of the gap that a fit leaves."""
-        return 0.0 if complete(self.fitter, one) else unexplained(self.fitter, base, one)
+        return 0.0 if is_complete(self.fitter, one) else unexplained(self.fitter, base, one)
 
     def over(self, base: Fitted, one: Fitted) -> bool:
         """Whether nothing is missing any more but details."""
-        return whole(one, partial(self.left, base)) if one.model.coarse else complete(self.fitter, one)
+        return is_sufficient(one, partial(self.left, base)) if one.model.coarse else is_complete(self.fitter, one)
 
     def done(self, base: Fitted, one: Fitted) -> bool:
         """Whether there is nothing left to explain, neither a force nor a number moved far."""
-        return self.over(base, one) and strain(one) < STRAINED
+        return self.over(base, one) and max_prior_deviation(one) < STRAINED
 
     def standing(self, base: Fitted, one: Fitted) -> tuple[bool, ...]:
         """What decides how the search goes on."""
-        return self.over(base, one), strain(one) >= STRAINED, strain(one) > IMPOSSIBLE
+        return self.over(base, one), max_prior_deviation(one) >= STRAINED, max_prior_deviation(one) > IMPOSSIBLE
 
     def looked(self, base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
         """One more effect looked for."""
@@ -128,7 +138,7 @@ class _Search:
         elif self.over(base, before):
             catalogue = [one for one in catalogue if one.unseen or (one.twists and self.fitter.twist is not None)]
         known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
-        found = look(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
+        found = select_next_effect(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
         self.tell(of_round(self.weighed(base, found)))
         return found
 
@@ -138,7 +148,9 @@ class _Search:
         """
         return self.done(base, best) and best.model.coupled
 
-    def onward(self, base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]) -> Explanation:
+    def next_trajectory(
+        self, base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]
+    ) -> Explanation:
         """What was found before and, of this catalogue, what is found beside it."""
         while len(rounds) < self.most and not (rounds and self.ended(base, best)):
             found = self.looked(base, best, catalogue, rounds)
@@ -169,12 +181,12 @@ class _Search:
         """The end of a search with what was searched for early searched for again, with numbers that can be, and
         without what the others can do without, from where the search goes on. Once: not again for what is found then.
         """
-        if not complete(self.fitter, found.best):
+        if not is_complete(self.fitter, found.best):
             found = self.beside_the_last(found, catalogue)
         other = self.spared(_credibly(self.fitter, found))
         if other is found:
             return found
-        return self.onward(other.base, other.rounds[: other.best.model.added], other.best, catalogue)
+        return self.next_trajectory(other.base, other.rounds[: other.best.model.added], other.best, catalogue)
 
     def spared(self, found: Explanation) -> Explanation:
         """Without an effect that the others can do without; the same object where there is none.
@@ -185,7 +197,7 @@ class _Search:
         count = found.best.model.added
         several = range(count if _outdone(found) else count - 1) if count > 1 else ()
         for index in several:
-            fewer = but_one(self.fitter, found.best, index)
+            fewer = drop_effect(self.fitter, found.best, index)
             if fewer is None:
                 continue
             if index == count - 1:
@@ -206,7 +218,7 @@ class _Search:
             return found
         before[-1] = before[-1]._replace(fits=[fewer, *before[-1].fits[1:]])
         last = self.weighed(found.base, last._replace(before=fewer))
-        if disbelieved(fewer, found.best):
+        if is_implausible(fewer, found.best):
             last = last._replace(enough=WORTH)
         if last.worth_it:
             return found._replace(rounds=[*before, last])
@@ -219,12 +231,12 @@ class _Search:
         count, rounds, dropped = found.best.model.added, found.rounds[:index], found.rounds[index]
         before, aside, beside = dropped.before, dropped.fits, dropped.fits[: dropped.rivals]
         for number, looked in enumerate(found.rounds[index + 1 : count], index + 1):
-            one = fewer if number == count - 1 else but_one(self.fitter, looked.fits[0], index)
+            one = fewer if number == count - 1 else drop_effect(self.fitter, looked.fits[0], index)
             if one is None:
                 return None
-            others = [but_one(self.fitter, rival, index) for rival in looked.fits[1 : looked.rivals]]
+            others = [drop_effect(self.fitter, rival, index) for rival in looked.fits[1 : looked.rivals]]
             rivals = sorted(
-                [other for other in [*others, *beside] if other and not disbelieved(other, one)],
+                [other for other in [*others, *beside] if other and not is_implausible(other, one)],
                 key=lambda other: other.evidence,
             )
             head = first_of_each([one, *rivals])
@@ -236,10 +248,10 @@ class _Search:
 
     def bar(self, base: Fitted, fewer: Fitted, best: Fitted) -> float:
         """The evidence that an effect must bring beside those that were found after it."""
-        if relieves(best, fewer) or disbelieved(fewer, best):
+        if relieves(best, fewer) or is_implausible(fewer, best):
             return WORTH
         enough = max(WORTH, SLIGHT * (base.evidence - fewer.evidence))
-        return min(enough, RESOLVING) if complete(self.fitter, best) else enough
+        return min(enough, RESOLVING) if is_complete(self.fitter, best) else enough
 
     def beside_the_last(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
         """What was searched for before the last effect was known searched for again beside it; without that one, and
@@ -251,7 +263,7 @@ class _Search:
         last = self.weighed(found.base, again.rounds[-1])
         if last.worth_it:
             return again._replace(rounds=[*again.rounds[:-1], last])
-        return self.onward(found.base, again.rounds[:-1], last.before, catalogue)
+        return self.next_trajectory(found.base, again.rounds[:-1], last.before, catalogue)
 
 
 def explain(
@@ -260,7 +272,7 @@ def explain(
     catalogue: Sequence[Candidate],
     progress: Progress,
     most: int = MOST_EFFECTS,
-    tell: Tell = untold,
+    tell: Tell = unheard,
 ) -> Explanation:
     """Effects one after the other, as long as another is worth it, up to `most`; each search is told.
 
@@ -270,14 +282,14 @@ def explain(
     for. Where that ends better, everything is; the other end is kept as a rival.
     """
     search = _Search(fitter, progress, most, tell)
-    found = search.to_its_best(search.onward(base, [], base, catalogue), catalogue)
+    found = search.to_its_best(search.next_trajectory(base, [], base, catalogue), catalogue)
     first = _other_first(found)
     if first is None or search.over(found.base, found.best):
         return found
     first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]])
 
     def beside(catalogue: Sequence[Candidate]) -> Explanation:
-        return search.to_its_best(search.onward(found.base, [first], first.fits[0], catalogue), catalogue)
+        return search.to_its_best(search.next_trajectory(found.base, [first], first.fits[0], catalogue), catalogue)
 
     other = beside([one for one in catalogue if one.name in found.named])
     if not _better(found.base, other.best, found.best):
@@ -317,13 +329,13 @@ def _credibly(fitter: Fitter, found: Explanation) -> Explanation:
     The first of its round is then what explains most with such numbers, and what needs others is no rival of it. What
     those told beyond it is no less of a merit of the effect's than it was.
     """
-    if not found.best.model.added or strain(found.best) <= IMPOSSIBLE:
+    if not found.best.model.added or max_prior_deviation(found.best) <= IMPOSSIBLE:
         return found
-    best, last = brought_back(fitter, found.base, found.best), found.best.model.added - 1
+    best, last = refit_from_nominal(fitter, found.base, found.best), found.best.model.added - 1
     if best is found.best:
         return found
     looked = found.rounds[last]
-    rivals = [one for one in looked.fits[1 : looked.rivals] if not disbelieved(one, best)]
+    rivals = [one for one in looked.fits[1 : looked.rivals] if not is_implausible(one, best)]
     credible = sorted([best, *rivals], key=lambda one: one.evidence)
     lost = max(credible[0].evidence - found.best.evidence, 0.0)
     rounds = [*found.rounds]
@@ -339,9 +351,9 @@ def _better(base: Fitted, one: Fitted, other: Fitted) -> bool:
     """Whether one end is likelier than another. Never by numbers that cannot be where the other's can, and where only
     its own can, it may lack a little.
     """
-    if disbelieved(one, other):
+    if is_implausible(one, other):
         return False
-    may_lack = SLIGHT * max(base.evidence - other.evidence, 0.0) if disbelieved(other, one) else 0.0
+    may_lack = SLIGHT * max(base.evidence - other.evidence, 0.0) if is_implausible(other, one) else 0.0
     return one.evidence < other.evidence + may_lack
 
 
@@ -361,8 +373,8 @@ def _other_first(found: Explanation) -> Round | None:
         return first.before.evidence - one.evidence
 
     def no_further(one: Fitted) -> bool:
-        among = meant(one, best)
-        return strain(one, among) < max(STRAINED, strain(best, among))
+        among = comparable_parameters(one, best)
+        return max_prior_deviation(one, among) < max(STRAINED, max_prior_deviation(best, among))
 
     bringing_back = [one for one in others if relieves(one, found.best)]
     near = [one for one in others if gain(one) > NEARLY * gain(best) and no_further(one)]

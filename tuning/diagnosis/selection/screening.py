@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffdrive.effects.base import MachineEffect
-from tuning.diagnosis.filter.exposure import Exposure
+from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.fits.curvature import limited, log_volume, solved
 from tuning.diagnosis.fits.differences import by_acts
-from tuning.diagnosis.fits.fitting import Fitted, Fitter, Point, answered
-from tuning.diagnosis.fits.leftover import STRAINED, strain
+from tuning.diagnosis.fits.fitting import Fitted, Fitter, Point, innovation_jvp
+from tuning.diagnosis.fits.goodness_of_fit import STRAINED, max_prior_deviation
 from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
@@ -30,14 +30,14 @@ from tuning.diagnosis.hypotheses.model import (
     Model,
     Vector,
     effect_in_lanes,
-    exposed,
-    exposure_slopes,
-    machine_slopes,
+    parameter_jacobian,
+    signals_along,
+    signals_jvp,
     stacked,
 )
 from tuning.diagnosis.hypotheses.priors import Parameter
-from tuning.diagnosis.selection.beginnings import looked_for
 from tuning.diagnosis.selection.evolving import evolved_once
+from tuning.diagnosis.selection.starting_points import starting_points
 from tuning.store.store import Arrays
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
@@ -90,8 +90,8 @@ def sensitivities(
     columns, bend, labels = _small_changes(fitted, candidate, point)
     if not fitted.model.coupled:
         return _as_one_mass(fitted, columns, bend), labels
-    model, u, process, track = fitted.model, fitted.u, fitted.process, fitted.track
-    found = by_acts(model, u, process, track, fitted.drive, fitted.acting, np.asarray(columns), bend)
+    model, theta, process_noise, filtered = fitted.model, fitted.theta, fitted.process_noise, fitted.filtered
+    found = by_acts(model, theta, process_noise, filtered, fitted.drive, fitted.signals, np.asarray(columns), bend)
     return _of_residuals(fitted, found), labels
 
 
@@ -103,24 +103,26 @@ def sensitivities_of_one_mass(
     return _as_one_mass(fitted, columns, bend), labels
 
 
-def _as_one_mass(fitted: Fitted, columns: Float[Array, "p m"], bend: Exposure) -> Float[np.ndarray, "n m"]:
+def _as_one_mass(fitted: Fitted, columns: Float[Array, "p m"], bend: EffectSignals) -> Float[np.ndarray, "n m"]:
     lanes, period = fitted.model.logged.lanes, fitted.model.logged.sampling.period
-    return _of_residuals(fitted, np.asarray(answered(fitted.track, fitted.linear, columns, bend, lanes.counts, period)))
+    return _of_residuals(
+        fitted, np.asarray(innovation_jvp(fitted.filtered, fitted.step_jacobians, columns, bend, lanes.counts, period))
+    )
 
 
 def _of_residuals(fitted: Fitted, changes: Float[np.ndarray, "lanes n m"]) -> Float[np.ndarray, "n m"]:
-    found = changes.reshape(fitted.residual.size, -1) / np.sqrt(float(fitted.track.size))
+    found = changes.reshape(fitted.residual.size, -1) / np.sqrt(float(fitted.filtered.noise_scale_sq))
     return np.where(fitted.residual[:, None] != 0.0, found, 0.0)
 
 
 def _small_changes(
     fitted: Fitted, candidate: Candidate, point: Values
-) -> tuple[Float[Array, "p m"], Exposure, list[tuple[Parameter, int | None]]]:
+) -> tuple[Float[Array, "p m"], EffectSignals, list[tuple[Parameter, int | None]]]:
     """Of the machine's numbers and of what acts, by each amplitude."""
     logged = _pushed(fitted)
     effect = effect_in_lanes(candidate.effect, point, logged.owner)
     amplitudes = [one for one in candidate.parameters if one.amplitude]
-    course = fitted.track.course
+    trajectory = fitted.filtered.trajectory
     labels = [(one, log) for one in amplitudes for log in (range(logged.logs) if one.session else [None])]
     rows = []
     for one, log in labels:
@@ -128,31 +130,31 @@ def _small_changes(
         zero = jax.tree.map(np.zeros_like, effect)
         rows.append(eqx.tree_at(operator.attrgetter(one.name), zero, here))
     tangents = stacked(rows)
-    bend = exposure_slopes(logged, fitted.drive, (effect,), (tangents,), course)
-    columns = jnp.zeros((fitted.linear.machine.shape[-1], len(rows)))
+    bend = signals_jvp(logged, fitted.drive, (effect,), (tangents,), trajectory)
+    columns = jnp.zeros((fitted.step_jacobians.machine.shape[-1], len(rows)))
     if issubclass(candidate.effect, MachineEffect):
-        b = jnp.asarray(fitted.model.calibration(fitted.u))
-        others = fitted.model.apart(fitted.model.effects(fitted.u))[0]
+        b = jnp.asarray(fitted.model.calibration(fitted.theta))
+        others = fitted.model.apart(fitted.model.effects(fitted.theta))[0]
         still = jax.tree.map(lambda leaf: np.zeros((len(rows), *leaf.shape)), others)
-        columns = machine_slopes(logged, b, (*others, effect), (*still, tangents))[:, len(NAMES) :]
+        columns = parameter_jacobian(logged, b, (*others, effect), (*still, tangents))[:, len(NAMES) :]
     return columns, bend, labels
 
 
 def _pushed(fitted: Fitted) -> Logged:
     """The logs, and what the effects outside the filter push, which what follows the table has to know, as known."""
     logged = fitted.model.logged
-    without = exposed(logged, fitted.drive, (), fitted.track.course)
-    known = logged.lanes.disturbance + (fitted.acting.force - without.force)
+    without = signals_along(logged, fitted.drive, (), fitted.filtered.trajectory)
+    known = logged.lanes.disturbance + (fitted.signals.force - without.force)
     return logged._replace(lanes=logged.lanes._replace(disturbance=known))
 
 
 def screen(fitted: Fitted, candidate: Candidate) -> Screened:
     """The best point of the grid of a candidate with amplitudes; of no evidence where there is none."""
-    found = [_screened(fitted, candidate, point) for point in looked_for(fitted, candidate)]
+    found = [_screened(fitted, candidate, point) for point in starting_points(fitted, candidate)]
     if candidate.narrow:
         likely = sorted(found, key=lambda one: -one.evidence)[:LIKELY]
         found += [_screened(fitted, candidate, point) for one in likely for point in _about(candidate, one)]
-    nothing = Screened(candidate, 0.0, -np.inf, {}, fitted.u, fitted.u, fitted.process * TRIED)
+    nothing = Screened(candidate, 0.0, -np.inf, {}, fitted.theta, fitted.theta, fitted.process_noise * TRIED)
     return max(found, key=lambda one: one.evidence, default=nothing)
 
 
@@ -178,8 +180,8 @@ def _screened(fitted: Fitted, candidate: Candidate, point: Values) -> Screened:
     for (one, log), value in zip(labels, amount, strict=True):
         row = values.setdefault(one.name, np.zeros(logged.logs))
         row[slice(None) if log is None else log] = value * one.spread
-    rest, aside = (fitted.u - limited(way + making_way @ amount) for way in (left, 0.0 * left))
-    return Screened(candidate, gain, evidence, values, rest, aside, fitted.process * TRIED)
+    rest, aside = (fitted.theta - limited(way + making_way @ amount) for way in (left, 0.0 * left))
+    return Screened(candidate, gain, evidence, values, rest, aside, fitted.process_noise * TRIED)
 
 
 def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
@@ -189,19 +191,19 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     with what is free already moved to make way: what recalibration has made up for is worse with the effect at first.
     """
     model = joined(fitted.model, candidate)
-    astray = not fitted.model.added or strain(fitted) >= STRAINED
-    before = np.where(astray & (np.arange(fitted.u.size) < len(NAMES)), 0.0, fitted.u)
-    points, processes = looked_for(fitted, candidate), fitted.process * TRIED
+    astray = not fitted.model.added or max_prior_deviation(fitted) >= STRAINED
+    before = np.where(astray & (np.arange(fitted.theta.size) < len(NAMES)), 0.0, fitted.theta)
+    points, processes = starting_points(fitted, candidate), fitted.process_noise * TRIED
     if candidate.searched:
         last = len(model.members) - 1
-        best, process = evolved_once(fitter.store, fitted, model, last, np.r_[before, begin(model, {})])
-        points, processes = [best], np.vstack([processes, process])
+        best, process_noise = evolved_once(fitter.store, fitted, model, last, np.r_[before, begin(model, {})])
+        points, processes = [best], np.vstack([processes, process_noise])
 
     def tried_from(calibration: Vector, values: Values) -> tuple[Point, Values]:
-        u = np.r_[calibration, begin(model, values)]
-        return fitter.at(model, u, fitted.process, fitted.track.course), values
+        theta = np.r_[calibration, begin(model, values)]
+        return fitter.at(model, theta, fitted.process_noise, fitted.filtered.trajectory), values
 
-    found = [tried_from(fitted.u, values) for values in points]
+    found = [tried_from(fitted.theta, values) for values in points]
     if not model.coupled:
         cheapest = sorted(found, key=lambda one: one[0].cost)[:BEST]  # not all lie where a fit finds down
         found += [_made_way(fitter, fitted, model, one) for one in cheapest]
@@ -210,7 +212,7 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     found.sort(key=lambda one: one[0].cost)
     likely = [(fitter.with_process(one, model, processes), values) for one, values in found[:BEST]]
     there, values = min(likely, key=lambda one: one[0].cost)
-    gain, rest = fitted.cost - there.cost, there.u[: fitted.u.size]
+    gain, rest = fitted.cost - there.cost, there.theta[: fitted.theta.size]
     return Screened(candidate, gain, gain - DEARNESS * len(candidate.parameters), values, rest, rest, processes)
 
 
@@ -222,7 +224,7 @@ def _made_way(fitter: Fitter, fitted: Fitted, model: Model, at: tuple[Point, Val
     """
     point, values = at
     d = np.where(fitted.residual != 0.0, fitter.residuals(point)[0] - fitted.residual, 0.0)
-    left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.u)
+    left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.theta)
     cross = fitted.jacobian.T @ d
     making_way = solved(fitted.hessian, cross)
     bent, slope = d @ d - cross @ making_way, d @ fitted.residual - cross @ left
@@ -232,11 +234,11 @@ def _made_way(fitter: Fitter, fitted: Fitted, model: Model, at: tuple[Point, Val
     begun = []
     for amount in sorted(amounts):
         scaled = {name: amount * value for name, value in values.items()}
-        u = np.r_[fitted.u - limited(left + amount * making_way), begin(model, scaled)]
-        begun.append(fitter.at(model, u, fitted.process, fitted.track.course))
+        theta = np.r_[fitted.theta - limited(left + amount * making_way), begin(model, scaled)]
+        begun.append(fitter.at(model, theta, fitted.process_noise, fitted.filtered.trajectory))
     best = min(begun, key=lambda one: one.cost)
-    there, _ = fitter.sought(model, best.u, best.process, best.course, GLANCE)
-    return there, model.values(there.u)[-1]
+    there, _ = fitter.minimise(model, best.theta, best.process_noise, best.trajectory, GLANCE)
+    return there, model.values(there.theta)[-1]
 
 
 def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None = None) -> Model:
@@ -250,9 +252,9 @@ def begin(model: Model, values: dict[str, Vector], member: int = -1) -> Vector:
     """U of a member of a model, the last one if none is given, at `values`; at its middle where there is none."""
     wanted = member % len(model.members)
     known = {one.name: one for one in model.members[wanted].candidate.parameters}
-    u = []
+    theta = []
     for index, name, log in model.slots:
         if index == wanted:
             given = values.get(name)
-            u.append(0.0 if given is None else known[name].standard(float(given[0 if log is None else log])))
-    return np.array(u)
+            theta.append(0.0 if given is None else known[name].standard(float(given[0 if log is None else log])))
+    return np.array(theta)

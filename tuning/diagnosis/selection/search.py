@@ -13,19 +13,28 @@ import numpy as np
 
 from diffdrive.errors import ParameterError
 from diffdrive.model.uncertainty import Uncertainty
-from tuning.diagnosis.filter.exposure import Course
+from tuning.diagnosis.filter.effect_signals import Trajectory
 from tuning.diagnosis.fits.fitting import MOST_STEPS, Fitted, Fitter, Point
-from tuning.diagnosis.fits.leftover import COARSE, IMPOSSIBLE, LEFT, STRAINED, WORTH, meant, relieves, strain
+from tuning.diagnosis.fits.goodness_of_fit import (
+    COARSE,
+    IMPOSSIBLE,
+    LEFT,
+    STRAINED,
+    WORTH,
+    comparable_parameters,
+    max_prior_deviation,
+    relieves,
+)
 from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.hypotheses.calibration import NAMES, prior_root
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.model import Logged, Member, Model, Vector
-from tuning.diagnosis.selection.leading import (
+from tuning.diagnosis.selection.refit import (
     allowance,
     at_nominal,
-    led_on,
-    on,
+    continued,
     possible,
+    refit_rivals,
     renamed,
     searched_again,
     simpler,
@@ -67,10 +76,10 @@ class Round(NamedTuple):
         return bool(self.fits) and self.gain >= self.enough
 
 
-def standing(logged: Logged) -> Course:
-    """The course before any filter: where the table was measured, at rest."""
+def initial_trajectory(logged: Logged) -> Trajectory:
+    """The trajectory before any filter: where the table was measured, at rest."""
     zero = jnp.zeros_like(logged.lanes.position)
-    return Course(logged.lanes.position, zero, zero, zero, zero)
+    return Trajectory(logged.lanes.position, zero, zero, zero, zero)
 
 
 def recalibrated(
@@ -84,7 +93,7 @@ def recalibrated(
     model = Model(
         fitter.logged, members, prior_root(fitter.logged.drive, tolerance, uncertainty, fitter.logged.loop_samples)
     )
-    found = fitter.fit(model, np.zeros(model.size), None, standing(fitter.logged))
+    found = fitter.fit(model, np.zeros(model.size), None, initial_trajectory(fitter.logged))
     if not np.isfinite(found.evidence):
         raise ParameterError(
             "the drive file's drive cannot be run along these logs: check that mass and friction are of the right "
@@ -101,7 +110,7 @@ def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
 
     if fitter.store is None:
         return found()
-    at = (before.model, before.u, before.process, before.track, before.acting)
+    at = (before.model, before.theta, before.process_noise, before.filtered, before.signals)
     key = digest("screened", fitter.logged, at, candidate)
     kept = fitter.store.read(key)
     if kept is not None:
@@ -121,25 +130,27 @@ def fit_from(
     A coupled effect is no small change: alone first, everything else held, which costs little.
     """
     aside = [found.aside] if before.model.coupled else []
-    nominal = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :]]
-    begun = [_begun(fitter, before, found, rest) for rest in _different(found.rest, *aside, before.u, nominal)]
+    nominal = np.r_[np.zeros(len(NAMES)), before.theta[len(NAMES) :]]
+    begun = [_begun(fitter, before, found, rest) for rest in _different(found.rest, *aside, before.theta, nominal)]
     if alone is not None:
-        values = alone.model.values(alone.u)[-1]
-        rest = np.r_[alone.u[: len(NAMES)], before.u[len(NAMES) :]]
-        found_alone = found._replace(values=values, processes=np.vstack([found.processes, alone.process]))
-        begun += [_begun(fitter, before, found_alone, rest) for rest in _different(rest, before.u)]
+        values = alone.model.values(alone.theta)[-1]
+        rest = np.r_[alone.theta[: len(NAMES)], before.theta[len(NAMES) :]]
+        found_alone = found._replace(values=values, processes=np.vstack([found.processes, alone.process_noise]))
+        begun += [_begun(fitter, before, found_alone, rest) for rest in _different(rest, before.theta)]
     model, there = min(begun, key=lambda one: one[1].cost)
-    ended = fitter.fit(model, there.u, there.process, there.track.course, most)
+    ended = fitter.fit(model, there.theta, there.process_noise, there.filtered.trajectory, most)
     amplitudes = {one.name for one in found.candidate.parameters if one.amplitude}
     if there.cost <= before.cost or not amplitudes:
         return ended
     none = {name: 0.0 * value if name in amplitudes else value for name, value in found.values.items()}
     model = joined(before.model, found.candidate, found.values)
-    u = np.r_[before.u, begin(model, none)]
-    other = fitter.fit(model, u, before.process, before.track.course, most)
+    theta = np.r_[before.theta, begin(model, none)]
+    other = fitter.fit(model, theta, before.process_noise, before.filtered.trajectory, most)
     lost = min(ended.evidence, other.evidence) > before.evidence - PROMISING  # neither way has led anywhere yet
     if lost and ended.steps == most and not found.candidate.coupled:
-        ended = fitter.fit(ended.model, ended.u, ended.process, ended.track.course, 2 * most)  # it came from far
+        ended = fitter.fit(
+            ended.model, ended.theta, ended.process_noise, ended.filtered.trajectory, 2 * most
+        )  # it came from far
     return min(possible([ended, other]) or [ended, other], key=lambda one: one.evidence)
 
 
@@ -151,11 +162,11 @@ def _begun(fitter: Fitter, before: Fitted, found: Screened, rest: Vector) -> tup
     """Where a fit of what was found begins with all else at `rest`."""
     model = joined(before.model, found.candidate, found.values)
     own = begin(model, found.values)
-    there = fitter.at(model, np.r_[rest, own], before.process, before.track.course)
+    there = fitter.at(model, np.r_[rest, own], before.process_noise, before.filtered.trajectory)
     there = fitter.with_process(there, model, found.processes)
     if found.candidate.coupled:
-        alone = np.r_[np.zeros(before.u.size), np.ones(own.size)]
-        there = fitter.sought(model, there.u, there.process, there.track.course, ALONE, alone)[0]
+        alone = np.r_[np.zeros(before.theta.size), np.ones(own.size)]
+        there = fitter.minimise(model, there.theta, there.process_noise, there.filtered.trajectory, ALONE, alone)[0]
     return model, there
 
 
@@ -164,8 +175,8 @@ def _begun_again(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> list
     last fitted to those first; a few steps each.
     """
     return in_parallel(
-        lambda one: _to_nominal_first(fitter, before, one.model, one.u[before.u.size :], RACE),
-        [one for one in fits[:BESIDE] if strain(one) >= STRAINED],
+        lambda one: _to_nominal_first(fitter, before, one.model, one.theta[before.theta.size :], RACE),
+        [one for one in fits[:BESIDE] if max_prior_deviation(one) >= STRAINED],
     )
 
 
@@ -179,13 +190,13 @@ def _fit_to_nominal(fitter: Fitter, before: Fitted, found: Screened, most: int) 
 
 
 def _to_nominal_first(fitter: Fitter, before: Fitted, model: Model, own: Vector, most: int) -> Fitted:
-    u = np.r_[np.zeros(len(NAMES)), before.u[len(NAMES) :], own]
-    alone = np.r_[np.zeros(before.u.size), np.ones(own.size)]
-    first = fitter.sought(model, u, None, before.track.course, 2 * ALONE, alone)[0]
-    return fitter.fit(model, first.u, first.process, first.track.course, most)
+    theta = np.r_[np.zeros(len(NAMES)), before.theta[len(NAMES) :], own]
+    alone = np.r_[np.zeros(before.theta.size), np.ones(own.size)]
+    first = fitter.minimise(model, theta, None, before.filtered.trajectory, 2 * ALONE, alone)[0]
+    return fitter.fit(model, first.theta, first.process_noise, first.filtered.trajectory, most)
 
 
-def look(
+def select_next_effect(
     fitter: Fitter,
     before: Fitted,
     catalogue: Sequence[Candidate],
@@ -203,22 +214,24 @@ def look(
     apart = [one for one in catalogue if not any(one.excludes(other) for other in there)]
     few, searched = [one for one in apart if not one.searched], [one for one in apart if one.searched]
     screened, fits = _race(fitter, before, few, progress, known)
-    fits = led_on(fitter, fits)
+    fits = refit_rivals(fitter, fits)
     believed = None
-    if strain(before) > IMPOSSIBLE and not (fits and whole(fits[0], left) and strain(fits[0]) < STRAINED):
+    if max_prior_deviation(before) > IMPOSSIBLE and not (
+        fits and is_sufficient(fits[0], left) and max_prior_deviation(fits[0]) < STRAINED
+    ):
         believed = at_nominal(fitter, before)
         more = [] if believed is None else _race_to_nominal(fitter, before, believed, few, progress)
-        fits = led_on(fitter, [*fits, *more])
+        fits = refit_rivals(fitter, [*fits, *more])
     gains = fits and before.evidence - fits[0].evidence > SETTLED
-    if not (gains and whole(fits[0], left) and strain(fits[0]) < IMPOSSIBLE):
+    if not (gains and is_sufficient(fits[0], left) and max_prior_deviation(fits[0]) < IMPOSSIBLE):
         also, further = _race(fitter, before, searched, progress, known)
         further += simpler(fitter, before, further, searched)
-        screened, fits = screened + also, led_on(fitter, _again(fitter, before, fits + further, left))
+        screened, fits = screened + also, refit_rivals(fitter, _again(fitter, before, fits + further, left))
     screened.sort(key=lambda one: -one.evidence)
     return _ranked(before, believed, screened, fits)
 
 
-def whole(fitted: Fitted, left: Callable[[Fitted], float]) -> bool:
+def is_sufficient(fitted: Fitted, left: Callable[[Fitted], float]) -> bool:
     """Whether a fit leaves no more than the details of its effects may."""
     return left(fitted) < (COARSE if fitted.model.coarse else LEFT)
 
@@ -229,7 +242,7 @@ def _again(fitter: Fitter, before: Fitted, fits: Sequence[Fitted], left: Callabl
     Not where the best leaves next to nothing: no rival will do better.
     """
     fits = possible(fits)
-    if not fits or (strain(fits[0]) < STRAINED and left(fits[0]) < LEFT):
+    if not fits or (max_prior_deviation(fits[0]) < STRAINED and left(fits[0]) < LEFT):
         return fits
     near = CLOSE * (before.evidence - fits[0].evidence)
 
@@ -257,7 +270,7 @@ def _ranked(before: Fitted, believed: Fitted | None, screened: list[Screened], f
 
 def _clearly(best: Fitted, relieving: Fitted) -> bool:
     """Whether the best may stay the best, though another effect leaves the nominal parameters nearer to the file's."""
-    return strain(best) < IMPOSSIBLE and relieving.evidence - best.evidence > SETTLED
+    return max_prior_deviation(best) < IMPOSSIBLE and relieving.evidence - best.evidence > SETTLED
 
 
 def _relieving(before: Fitted, believed: Fitted | None, fits: Sequence[Fitted]) -> list[Fitted]:
@@ -267,7 +280,9 @@ def _relieving(before: Fitted, believed: Fitted | None, fits: Sequence[Fitted]) 
     most = before.evidence + allowance(before, believed)
 
     def relieving(one: Fitted) -> bool:
-        return strain(before, meant(one)) > IMPOSSIBLE and strain(one) < STRAINED
+        return (
+            max_prior_deviation(before, comparable_parameters(one)) > IMPOSSIBLE and max_prior_deviation(one) < STRAINED
+        )
 
     return sorted((one for one in fits if one.evidence < most and relieving(one)), key=lambda one: one.evidence)
 
@@ -358,7 +373,7 @@ def _ended(
 ) -> list[Fitted]:
     """All that was begun, those `ahead` led to their end."""
     ended = in_parallel(
-        lambda one: renamed(fitter, on(fitter, one)),
+        lambda one: renamed(fitter, continued(fitter, one)),
         ahead,
         lambda k: progress("fitting", count + k, count + len(ahead)),
     )

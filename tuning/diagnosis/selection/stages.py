@@ -25,7 +25,7 @@ class Stage(NamedTuple):
 Tell = Callable[[Stage], None]
 
 
-def untold(stage: Stage) -> None:
+def unheard(stage: Stage) -> None:
     """Tell nobody."""
 
 

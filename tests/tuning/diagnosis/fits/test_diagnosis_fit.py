@@ -17,22 +17,29 @@ from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sine
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fits.curvature import FARTHEST
 from tuning.diagnosis.fits.fitting import LEAST, Fitter
-from tuning.diagnosis.fits.leftover import IMPOSSIBLE, LACKING, STRAINED, WORTH, lacking, strain
+from tuning.diagnosis.fits.goodness_of_fit import (
+    IMPOSSIBLE,
+    LACKING,
+    STRAINED,
+    WORTH,
+    max_prior_deviation,
+    missing_evidence,
+)
 from tuning.diagnosis.hypotheses.calibration import LOGARITHMS, NAMES, TOLERANCE, calibrated
 from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.judgement.events import CHANCE, least_foreseen
-from tuning.diagnosis.selection.beginnings import looked_for
 from tuning.diagnosis.selection.explain import _further, explain
 from tuning.diagnosis.selection.screening import _pushed, begin, joined, screen, sensitivities, tried
 from tuning.diagnosis.selection.search import (
     RACE,
     fit_from,
-    look,
+    initial_trajectory,
     recalibrated,
-    standing,
+    select_next_effect,
 )
+from tuning.diagnosis.selection.starting_points import starting_points
 
 HIDDEN = np.append(np.random.default_rng(8).uniform(-0.02, 0.02, LOGARITHMS), [0.0, 0.0])
 
@@ -52,13 +59,13 @@ def tilted():
 
 def test_a_sound_machine_is_recalibrated_and_nothing_is_missing(sound):
     _, base = sound
-    assert np.max(np.abs(base.u)) < 3.0
-    assert base.process[0] < 0.01  # N
-    assert lacking(sound[0], base) < LACKING
-    assert float(base.track.size) == pytest.approx(1.0, abs=0.1)
+    assert np.max(np.abs(base.theta)) < 3.0
+    assert base.process_noise[0] < 0.01  # N
+    assert missing_evidence(sound[0], base) < LACKING
+    assert float(base.filtered.noise_scale_sq) == pytest.approx(1.0, abs=0.1)
     assert least_foreseen(base).decades > CHANCE / 2
     mass = NAMES.index("mass")
-    assert TOLERANCE * base.u[mass] == pytest.approx(DEVIATIONS[mass], abs=5e-4)
+    assert TOLERANCE * base.theta[mass] == pytest.approx(DEVIATIONS[mass], abs=5e-4)
 
 
 def test_no_effect_that_is_all_amplitude_is_worth_it_on_a_sound_machine(sound):
@@ -75,10 +82,14 @@ def test_the_answers_are_the_derivatives_of_the_innovations(sound):
         k = NAMES.index(name)
         h = 1e-3 * np.eye(len(NAMES))[k]
         ahead, behind = (
-            np.asarray(fitter.at(base.model, base.u + way * h, base.process, base.track.course).track.innovation)
+            np.asarray(
+                fitter.at(
+                    base.model, base.theta + way * h, base.process_noise, base.filtered.trajectory
+                ).filtered.innovation
+            )
             for way in (1.0, -1.0)
         )
-        unit = np.asarray(base.track.scatter) * np.sqrt(float(base.track.size))
+        unit = np.asarray(base.filtered.innovation_std) * np.sqrt(float(base.filtered.noise_scale_sq))
         difference = ((ahead - behind) / 2e-3 / unit * fitter.counts).ravel()
         column = base.jacobian[:, k]
         assert np.linalg.norm(difference - column) < 0.05 * np.linalg.norm(column), name
@@ -90,9 +101,9 @@ def test_a_tilt_is_found_and_measured(tilted):
     best = max(found.values(), key=lambda one: one.evidence)
     assert best.candidate.name == "constant_force"
     fit = fit_from(fitter, base, best)
-    assert fit.model.values(fit.u)[0]["force"][0] == pytest.approx(6.0, abs=0.05)
+    assert fit.model.values(fit.theta)[0]["force"][0] == pytest.approx(6.0, abs=0.05)
     assert base.evidence - fit.evidence > 100.0
-    assert lacking(fitter, fit) < LACKING
+    assert missing_evidence(fitter, fit) < LACKING
 
 
 @pytest.mark.parametrize(
@@ -106,7 +117,7 @@ def test_an_effect_that_is_there_is_fitted(effect, name, key, value):
     fitter, base = recalibrated_of(effect)
     candidate = next(one for one in catalogue(fitter, base) if one.name == name)
     fit = fit_from(fitter, base, screen(base, candidate))
-    assert fit.model.values(fit.u)[0][key][0] == pytest.approx(value, rel=0.15 if name == "payload_mass" else 1e-3)
+    assert fit.model.values(fit.theta)[0][key][0] == pytest.approx(value, rel=0.15 if name == "payload_mass" else 1e-3)
     assert base.evidence - fit.evidence > WORTH
 
 
@@ -116,10 +127,10 @@ def test_what_follows_the_table_is_screened_beside_what_pushes_it(tilted, monkey
     tilt = next(one for one in catalogue(fitter, base) if one.name == "constant_force")
     fit = fit_from(fitter, base, screen(base, tilt))
     known = np.asarray(_pushed(fit).lanes.disturbance) - np.asarray(fitter.logged.lanes.disturbance)
-    np.testing.assert_allclose(known, fit.model.values(fit.u)[0]["force"][0], rtol=1e-9)
+    np.testing.assert_allclose(known, fit.model.values(fit.theta)[0]["force"][0], rtol=1e-9)
     assert not np.any(np.asarray(_pushed(base).lanes.disturbance) - np.asarray(fitter.logged.lanes.disturbance))
     dwell = next(one for one in catalogue(fitter, base) if one.name == "friction_dwell")
-    point = looked_for(fit, dwell)[0]
+    point = starting_points(fit, dwell)[0]
     beside = sensitivities(fit, dwell, point)[0]
     monkeypatch.setattr("tuning.diagnosis.selection.screening._pushed", lambda fitted: fitted.model.logged)
     alone = sensitivities(fit, dwell, point)[0]
@@ -130,8 +141,8 @@ def test_screening_points_no_further_than_any_prior_could_mean(sound):
     """What is missing far beyond what the drive's own numbers can make up for has them run away."""
     fitter, base = sound
     cogging = next(one for one in catalogue(fitter, base) if one.name == "cogging")
-    astray = base._replace(residual=base.residual + base.jacobian @ np.r_[1e4, np.zeros(base.u.size - 1)])
-    far = np.abs(screen(astray, cogging).rest - base.u)
+    astray = base._replace(residual=base.residual + base.jacobian @ np.r_[1e4, np.zeros(base.theta.size - 1)])
+    far = np.abs(screen(astray, cogging).rest - base.theta)
     assert far.max() == pytest.approx(FARTHEST)
 
 
@@ -139,17 +150,23 @@ def test_where_screening_points_too_far_a_fit_begins_without_the_effect():
     fitter, base = recalibrated_of(Cogging(0.00125, 2.0, 1.0))
     found = screen(base, next(one for one in catalogue(fitter, base) if one.name == "cogging"))
     far = {name: value * (1.0 if name == "period" else 1e4) for name, value in found.values.items()}
-    fit = fit_from(fitter, base, found._replace(values=far, rest=base.u + 30.0), 4)
+    fit = fit_from(fitter, base, found._replace(values=far, rest=base.theta + 30.0), 4)
     assert base.evidence - fit.evidence > 100.0
-    assert fit.model.values(fit.u)[0]["cosine"][0] == pytest.approx(2.0, abs=0.2)
+    assert fit.model.values(fit.theta)[0]["cosine"][0] == pytest.approx(2.0, abs=0.2)
 
 
 def test_a_fit_that_stopped_on_its_way_goes_on_before_an_effect_is_credited(sound, tilted):
     fitter, base = sound
     cogging = next(one for one in catalogue(fitter, base) if one.name == "cogging")
     model = joined(base.model, cogging)
-    richer = fitter.fit(model, np.r_[base.u, np.zeros(model.size - base.u.size)], base.process, base.track.course, 3)
-    stopped = fitter.fit(base.model, base.u + 0.2, None, standing(fitter.logged), 0)
+    richer = fitter.fit(
+        model,
+        np.r_[base.theta, np.zeros(model.size - base.theta.size)],
+        base.process_noise,
+        base.filtered.trajectory,
+        3,
+    )
+    stopped = fitter.fit(base.model, base.theta + 0.2, None, initial_trajectory(fitter.logged), 0)
     assert stopped.evidence - richer.evidence > WORTH
     further = _further(fitter, stopped, [richer])
     assert further.evidence == pytest.approx(base.evidence, abs=2.0)
@@ -167,40 +184,40 @@ def test_what_made_up_for_an_effect_makes_way_for_it():
     base, mass = recalibrated(fitter, TOLERANCE), NAMES.index("mass")
     payload = next(one for one in catalogue(fitter, base) if one.name == "payload_mass")
     found = screen(base, payload)
-    assert base.u[mass] > 10.0
+    assert base.theta[mass] > 10.0
     assert abs(found.rest[mass]) < 2.0
     assert found.values["mass"][0] == pytest.approx(25.0, abs=5.0)
     others = np.arange(len(NAMES)) != mass
-    np.testing.assert_allclose(found.rest[others], base.u[others], atol=0.3)
+    np.testing.assert_allclose(found.rest[others], base.theta[others], atol=0.3)
     fit = fit_from(fitter, base, found)
-    assert strain(fit) < 2.0
-    assert float(fit.model.values(fit.u)[0]["mass"][0]) == pytest.approx(25.0, abs=3.0)  # as the mass is known
+    assert max_prior_deviation(fit) < 2.0
+    assert float(fit.model.values(fit.theta)[0]["mass"][0]) == pytest.approx(25.0, abs=3.0)  # as the mass is known
     assert base.evidence - fit.evidence > 100.0  # of the prior alone: one explains the log as well as the other
 
 
 def test_no_step_leads_further_than_a_prior_could_mean(sound, monkeypatch):
     fitter, base = sound
-    point = fitter.at(base.model, base.u, base.process, base.track.course)
+    point = fitter.at(base.model, base.theta, base.process_noise, base.filtered.trajectory)
     residual = 10.0 * FARTHEST * base.residual / np.linalg.norm(base.residual)
     jacobian = np.zeros((residual.size, base.model.size))
     jacobian[:, 3] = residual / np.linalg.norm(residual)  # what it asks for is five times too far
     seen, at = [], fitter.at
 
-    def watched(model, u, process, course):
-        seen.append(u)
-        return at(model, u, process, course)
+    def watched(model, theta, process_noise, trajectory):
+        seen.append(theta)
+        return at(model, theta, process_noise, trajectory)
 
     monkeypatch.setattr(fitter, "at", watched)
     monkeypatch.setattr(fitter, "residuals", lambda point: (residual, np.ones_like(residual)))
     fitter.step(base.model, point, 0.1, np.ones(base.model.size), jacobian)
-    assert np.max(np.abs(seen[0] - point.u)) == pytest.approx(FARTHEST)
+    assert np.max(np.abs(seen[0] - point.theta)) == pytest.approx(FARTHEST)
 
 
 def test_a_secant_holds_along_the_step_that_was_taken(sound):
     fitter, base = sound
-    before = fitter.at(base.model, base.u, base.process, base.track.course)
+    before = fitter.at(base.model, base.theta, base.process_noise, base.filtered.trajectory)
     step = np.random.default_rng(2).standard_normal(base.model.size)
-    ahead = fitter.at(base.model, base.u + step, base.process, base.track.course)
+    ahead = fitter.at(base.model, base.theta + step, base.process_noise, base.filtered.trajectory)
     updated = fitter._updated(base.jacobian, before, ahead)
     moved = fitter.residuals(ahead)[0] - fitter.residuals(before)[0]
     np.testing.assert_allclose(updated @ step, moved, atol=1e-12 * np.abs(moved).max())
@@ -220,9 +237,9 @@ def test_parameters_of_the_session_are_one_for_each_log(sound):
     names = [(name, log) for _, name, log in model.slots]
     assert names.count(("period", None)) == 1
     assert {("cosine", 0), ("cosine", 1)} <= set(names)
-    u = np.zeros(model.size)
-    u[len(NAMES) + names.index(("cosine", 1))] = 2.0
-    effect = model.effects(u)[0]
+    theta = np.zeros(model.size)
+    theta[len(NAMES) + names.index(("cosine", 1))] = 2.0
+    effect = model.effects(theta)[0]
     assert float(effect.cosine[0]) == 0.0
     assert float(effect.cosine[1]) == pytest.approx(2.0 * candidate.parameters[0].spread)
 
@@ -235,14 +252,16 @@ def test_impossible_numbers_are_explained_before_anything_else():
     """
     fitter = fitter_of(ForceGain(-0.2), Cogging(0.00125, 1.0, 0.3))
     base = recalibrated(fitter, TOLERANCE)
-    assert strain(base) > IMPOSSIBLE
+    assert max_prior_deviation(base) > IMPOSSIBLE
     few = [one for one in catalogue(fitter, base) if one.name in ("force_gain", "payload_mass", "cogging")]
-    found = look(fitter, base, few, lambda what, done, most: None, lambda one: float(lacking(fitter, one) >= LACKING))
+    found = select_next_effect(
+        fitter, base, few, lambda what, done, most: None, lambda one: float(missing_evidence(fitter, one) >= LACKING)
+    )
     first = found.fits[0]
     assert [member.candidate.name for member in first.model.members] == ["force_gain"]
     assert first.evidence > found.fits[1].evidence + WORTH
-    assert first.model.values(first.u)[0]["gain"][0] == pytest.approx(-0.2, abs=0.03)
-    assert strain(first) < STRAINED
+    assert first.model.values(first.theta)[0]["gain"][0] == pytest.approx(-0.2, abs=0.03)
+    assert max_prior_deviation(first) < STRAINED
     assert base.evidence - first.evidence + found.allowance > WORTH
 
 
@@ -260,9 +279,12 @@ def test_a_delay_that_recalibration_made_up_for_is_screened_beside_what_makes_wa
     late = next(one for one in catalogue(fitter, base) if one.effect is LoopDelay)
     found = tried(fitter, base, late)
     model = joined(base.model, late)
-    least = min(float(point["delay"][0]) for point in looked_for(base, late))
+    least = min(float(point["delay"][0]) for point in starting_points(base, late))
     beside = fitter.at(
-        model, np.r_[base.u, begin(model, {"delay": np.array([least])})], base.process, base.track.course
+        model,
+        np.r_[base.theta, begin(model, {"delay": np.array([least])})],
+        base.process_noise,
+        base.filtered.trajectory,
     )
     assert base.cost - beside.cost < 0.0  # where nothing makes way, the least of the grid explains nothing
     assert found.evidence > 100.0
@@ -276,13 +298,13 @@ def test_a_limit_is_found_that_few_samples_reach(sound, reached):
     limit = float(np.sort(command)[-reached])
     fitter = fitter_of(ForceLimit(limit))
     base = recalibrated(fitter, TOLERANCE)
-    assert lacking(fitter, base) < LACKING
+    assert missing_evidence(fitter, base) < LACKING
     if reached > 10:  # fewer may or may not be seen, by when they come
         assert least_foreseen(base).decades < CHANCE  # though a moment goes wrong
     few = [one for one in catalogue(fitter, base) if one.name in ("force_limit", "force_gain", "payload_mass")]
     found = explain(fitter, base, few, lambda *_: None)
     assert found.named == {"force_limit"}
-    assert found.best.model.values(found.best.u)[-1]["limit"][0] == pytest.approx(limit, rel=1e-3)
+    assert found.best.model.values(found.best.theta)[-1]["limit"][0] == pytest.approx(limit, rel=1e-3)
 
 
 @pytest.mark.parametrize("astray", [1e-6, 1e-4])
@@ -299,7 +321,7 @@ def test_a_count_that_went_astray_is_no_event_nor_is_a_long_rest(sound, astray):
     )
     lanes = lanes._replace(position=lanes.position.at[0, resting + 3000].add(astray), velocity=jnp.zeros(1))
     base = recalibrated(Fitter(simulate_log._replace(lanes=lanes)), TOLERANCE)
-    assert float(base.track.size) < 0.5
+    assert float(base.filtered.noise_scale_sq) < 0.5
     assert least_foreseen(base).decades > CHANCE / 2
 
 
@@ -325,10 +347,10 @@ def test_a_filter_under_a_rough_cost_tries_every_small_sudden_force(sound, monke
         return plain(self, point, model, processes)
 
     monkeypatch.setattr(Fitter, "with_process", watched)
-    fitter.sought(model, base.u, base.process, base.track.course, 3)
-    sudden = fitter.quiet(base.process)
+    fitter.minimise(model, base.theta, base.process_noise, base.filtered.trajectory, 3)
+    sudden = fitter.quiet(base.process_noise)
     assert sudden[0, 1] == LEAST
-    assert np.all(sudden[:, 0] == base.process[0])
+    assert np.all(sudden[:, 0] == base.process_noise[0])
     assert any(one.shape == sudden.shape and np.allclose(one, sudden) for one in tried_for)
 
 
@@ -346,12 +368,12 @@ def test_the_least_process_force_hides_in_the_noise_of_a_fine_scale(sound):
     base = recalibrated(fitter, TOLERANCE)
     gain = next(one for one in catalogue(fitter, base) if one.name == "force_gain")
     model = joined(base.model, gain)
-    lighter = np.r_[base.u + scaled * np.log(0.92) / TOLERANCE, gain.parameters[0].standard(-0.08)]
+    lighter = np.r_[base.theta + scaled * np.log(0.92) / TOLERANCE, gain.parameters[0].standard(-0.08)]
 
     def apart(least):
         told = [
-            float(fitter.at(one, u, np.full(2, least), base.track.course).track.deviance)
-            for one, u in ((base.model, base.u), (model, lighter))
+            float(fitter.at(one, theta, np.full(2, least), base.filtered.trajectory).filtered.deviance)
+            for one, theta in ((base.model, base.theta), (model, lighter))
         ]
         return abs(told[1] - told[0])
 
@@ -374,4 +396,4 @@ def test_what_recalibration_hid_is_found_however_coarsely_the_command_was_logged
     found = screen(base, load)
     fit = fit_from(fitter, base, found, RACE)
     assert base.evidence - fit.evidence > 0.9 * found.gain > 100.0
-    assert fit.model.values(fit.u)[0]["load"][0] == pytest.approx(30e3, rel=0.1)
+    assert fit.model.values(fit.theta)[0]["load"][0] == pytest.approx(30e3, rel=0.1)

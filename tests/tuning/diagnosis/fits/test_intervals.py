@@ -17,7 +17,7 @@ RATE, LANES, SAMPLES = 1000.0, 2, 4000
 COUNT = len(NAMES) + 2
 
 
-def fitted(colour=0.0, seed=0, candidate=None, u=0.0, velocity=None, beside=()):
+def fitted(colour=0.0, seed=0, candidate=None, theta=0.0, velocity=None, beside=()):
     """A fit of random columns to noise; `colour` makes neighbours alike over some 50 samples, in both.
 
     Of several effects, those `beside` the candidate have nothing free.
@@ -38,12 +38,12 @@ def fitted(colour=0.0, seed=0, candidate=None, u=0.0, velocity=None, beside=()):
     model = SimpleNamespace(
         logged=logged, slots=slots, prior=np.eye(len(NAMES)),
         members=[SimpleNamespace(candidate=one) for one in (candidate, *beside)],
-        values=lambda u: [{"edge": np.array([0.05, 0.05])} if candidate and candidate.effect is AppliedLoad else {}],
+        values=lambda _: [{"edge": np.array([0.05, 0.05])} if candidate and candidate.effect is AppliedLoad else {}],
     )  # fmt: skip
     velocity = np.ones((LANES, SAMPLES)) if velocity is None else velocity
     return SimpleNamespace(
         model=model, jacobian=jacobian, residual=residual, hessian=jacobian.T @ jacobian + np.eye(COUNT),
-        u=np.full(COUNT, u), track=SimpleNamespace(course=SimpleNamespace(velocity=velocity)),
+        theta=np.full(COUNT, theta), filtered=SimpleNamespace(trajectory=SimpleNamespace(velocity=velocity)),
     )  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def test_an_amount_beside_such_an_effect_is_trusted_no_more_than_that_and_its_pe
     """A tilt that was fitted beside a play which is not quite the machine's makes up for some of that."""
     named = (Parameter("force", 0.0, 10.0, amplitude=True), Parameter("period", 1e-3, 0.1, LOGARITHM))
     tilt, play = Candidate(ConstantForce, named), Candidate(Backlash, ())
-    alone, beside = (parameters(fitted(candidate=tilt, u=0.7, beside=more), 0) for more in ((), (play,)))
+    alone, beside = (parameters(fitted(candidate=tilt, theta=0.7, beside=more), 0) for more in ((), (play,)))
     value, (low, high) = beside["force"]
     assert value == pytest.approx(7.0)
     trusted = np.hypot(1.96 * 0.1 * 7.0, 0.5 * np.ptp(alone["force"][1]))

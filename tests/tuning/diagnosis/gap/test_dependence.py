@@ -16,7 +16,7 @@ LOAD, START, END = 9e3, 1.0, 2.2  # N, s
 
 def left_of(*effects):
     fitter, base = recalibrated_of(*effects)
-    return dependences(fitter, base, setting(base.own, fitter.logged.lanes, 1.0 / RATE))
+    return dependences(fitter, base, setting(base.recalibrated_drive, fitter.logged.lanes, 1.0 / RATE))
 
 
 def test_hats_add_up_to_one_and_make_any_polygon():

@@ -27,9 +27,9 @@ def of(velocity, tells, slots, nominal=1.0, members=()):
         sampling=SimpleNamespace(rate=RATE),
     )
     model = SimpleNamespace(slots=slots, members=members, size=len(NAMES) + len(slots))
-    track = SimpleNamespace(course=SimpleNamespace(velocity=velocity))
+    filtered = SimpleNamespace(trajectory=SimpleNamespace(velocity=velocity))
     return SimpleNamespace(logged=logged), SimpleNamespace(
-        track=track, model=model, jacobian=jacobian.reshape(lanes * samples, -1)
+        filtered=filtered, model=model, jacobian=jacobian.reshape(lanes * samples, -1)
     )
 
 

@@ -12,15 +12,15 @@ import scipy.signal
 from diffdrive.logs import Log
 from tests.support.sound_log import DRIVE, RATE
 from tuning.diagnosis.diagnose import logged_of
-from tuning.diagnosis.filter.exposure import Course
-from tuning.diagnosis.filter.following import LASTING
+from tuning.diagnosis.filter.effect_signals import Trajectory
+from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME
 from tuning.diagnosis.gap.gap import ForceGap
 from tuning.diagnosis.gap.lines import lines_in_position, lines_in_time, told_apart
 from tuning.diagnosis.gap.where import FAINT, SIGNIFICANT, Region, localise, ranked
 from tuning.diagnosis.hypotheses.candidates import candidates
-from tuning.diagnosis.hypotheses.coverage import shortcomings
+from tuning.diagnosis.hypotheses.excitation import excitation_deficits
 from tuning.diagnosis.hypotheses.setting import Setting, setting
-from tuning.diagnosis.selection.beginnings import looked_for
+from tuning.diagnosis.selection.starting_points import starting_points
 from tuning.identification.prediction import Lanes
 
 PITCH = 1.25e-3  # m
@@ -36,7 +36,7 @@ def located(force, position, lost=0.0, **more):
     """The regions of a force (N) along a position (m), with everything counted."""
     ones, flat = np.ones((1, len(force))), np.zeros((1, len(force)))
     velocity = np.gradient(position)[None] * RATE
-    gap = ForceGap(force[None], Course(position[None], velocity, flat, flat, flat), force[None] ** 2, ones, lost)
+    gap = ForceGap(force[None], Trajectory(position[None], velocity, flat, flat, flat), force[None] ** 2, ones, lost)
     lanes = Lanes(*(jnp.asarray(one) for one in (position[None], flat, flat, flat, ones)), velocity=jnp.zeros(1))
     return localise(gap, lanes, (0,), RATE, **more)
 
@@ -181,8 +181,8 @@ def test_periods_are_told_per_turn_where_the_lead_is_known():
 
 def coloured(seed, count):
     """White innovations, lasting as the missing force does."""
-    fade = np.exp(-1.0 / (LASTING * RATE))
-    return scipy.signal.lfilter([1.0], [1.0, -fade], np.random.default_rng(seed).standard_normal(count))
+    ar1_coeff = np.exp(-1.0 / (DISTURBANCE_TIME * RATE))
+    return scipy.signal.lfilter([1.0], [1.0, -ar1_coeff], np.random.default_rng(seed).standard_normal(count))
 
 
 @pytest.mark.long
@@ -196,7 +196,7 @@ def test_in_noise_hardly_any_region_is_significant():
         white = np.random.default_rng(seed).standard_normal((1, len(time))) ** 2
         flat, ones = np.zeros((1, len(time))), np.ones((1, len(time)))
         gap = ForceGap(
-            force[None], Course(position[None], np.gradient(position)[None] * RATE, flat, flat, flat), white, ones
+            force[None], Trajectory(position[None], np.gradient(position)[None] * RATE, flat, flat, flat), white, ones
         )
         lanes = Lanes(*(jnp.asarray(one) for one in (position[None], flat, flat, flat, ones)), velocity=jnp.zeros(1))
         alarms += any(one.p_value < SIGNIFICANT for one in localise(gap, lanes, (0,), RATE, noise=noise))
@@ -247,7 +247,7 @@ def test_times_are_those_of_the_log_where_it_has_a_gap():
     force = np.random.default_rng(0).standard_normal((2, len(time)))
     position = np.stack([0.02 * np.sin(3.0 * time)] * 2)
     flat, ones = np.zeros(force.shape), np.ones(force.shape)
-    gap = ForceGap(force, Course(position, np.gradient(position, axis=1) * RATE, flat, flat, flat), force**2, ones)
+    gap = ForceGap(force, Trajectory(position, np.gradient(position, axis=1) * RATE, flat, flat, flat), force**2, ones)
     lanes = Lanes(*(jnp.asarray(one) for one in (position, flat, flat, flat, ones)), velocity=jnp.zeros(2))
     times = [one.region for one in localise(gap, lanes, (0, 0), RATE, starts=[0.0, 7.0]) if one.dimension == "time"]
     assert any(one.endswith("9 s") for one in times)
@@ -256,10 +256,12 @@ def test_times_are_those_of_the_log_where_it_has_a_gap():
     logged = SimpleNamespace(
         logs=1, owner=(0, 0), starts=jnp.asarray([0.0, 7.0]), sampling=SimpleNamespace(rate=RATE), lanes=lanes
     )
-    track = SimpleNamespace(pull=(flat, flat), innovation=flat, lacking=burst)
+    filtered = SimpleNamespace(kalman_gain=(flat, flat), innovation=flat, disturbance=burst)
     drive = SimpleNamespace(plant=SimpleNamespace(mass=100.0))
     candidate = next(one for one in candidates(SETTING) if one.name == "process_force")
-    point = looked_for(SimpleNamespace(model=SimpleNamespace(logged=logged), track=track, drive=drive), candidate)[0]
+    point = starting_points(
+        SimpleNamespace(model=SimpleNamespace(logged=logged), filtered=filtered, drive=drive), candidate
+    )[0]
     assert point["frequency"][0] == pytest.approx(60.0, abs=0.5)
     assert (point["start"][0], point["end"][0]) == (pytest.approx(7.5, abs=0.2), pytest.approx(8.5, abs=0.2))
 
@@ -271,7 +273,7 @@ def saturated(command, limit):
     position = 0.02 * np.sin(3.0 * time)
     log = Log("log", time=time, position=position, command=command, reference=position, load=np.zeros(len(time)))
     logged = logged_of(drive, [log])
-    found = shortcomings(logged, setting(logged.drive, logged.lanes, 1.0 / RATE))
+    found = excitation_deficits(logged, setting(logged.drive, logged.lanes, 1.0 / RATE))
     return any("limit" in one.why for one in found)
 
 

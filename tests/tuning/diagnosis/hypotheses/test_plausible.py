@@ -140,11 +140,11 @@ def test_what_cannot_be_less_than_nothing_is_not(effect, name):
 def test_a_process_force_swings_while_it_is_on(frequency, end, beside, swings):
     """On for 0.1 s in one log and for longer in the other: few swings, small ones, or none within the log are none."""
     logs = logged_of(DRIVE.drive, [simulate_log(DRIVE, two_sines(2.5))] * 2)
-    process = next(
+    process_noise = next(
         one for one in candidates(setting(logs.drive, logs.lanes, logs.sampling.period)) if one.name == "process_force"
     )
-    model = joined(Model(logs), process)
-    values = {one.name: np.full(2, one.middle) for one in process.parameters}
+    model = joined(Model(logs), process_noise)
+    values = {one.name: np.full(2, one.middle) for one in process_noise.parameters}
     values |= {"frequency": np.full(2, frequency), "start": np.array([0.2, 0.2]), "end": np.array([0.3, end])}
     values["cosine"] = np.array([3.0, beside])
     assert model.possible(np.r_[np.zeros(len(NAMES)), begin(model, values)]) == swings

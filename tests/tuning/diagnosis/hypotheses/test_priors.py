@@ -8,13 +8,13 @@ SCALES = {"itself": ITSELF, "logarithm": LOGARITHM, "log-odds": LOG_ODDS}
 
 
 @pytest.mark.parametrize("scale", SCALES.values(), ids=SCALES.keys())
-@pytest.mark.parametrize("u", [-3.0, -0.2, 0.0, 1.6])
-def test_a_value_and_its_standard_are_inverse_and_its_slope_is_the_derivative(scale, u):
+@pytest.mark.parametrize("theta", [-3.0, -0.2, 0.0, 1.6])
+def test_a_value_and_its_standard_are_inverse_and_its_slope_is_the_derivative(scale, theta):
     one = Parameter("x", 0.4, 0.7, scale)
     assert one.value(0.0) == pytest.approx(0.4)
-    assert one.standard(one.value(u)) == pytest.approx(u, abs=1e-12)
+    assert one.standard(one.value(theta)) == pytest.approx(theta, abs=1e-12)
     h = 1e-5
-    assert one.slope(u) == pytest.approx((one.value(u + h) - one.value(u - h)) / (2 * h), rel=1e-8)
+    assert one.slope(theta) == pytest.approx((one.value(theta + h) - one.value(theta - h)) / (2 * h), rel=1e-8)
 
 
 def test_a_deviation_is_a_difference_a_factor_or_odds():

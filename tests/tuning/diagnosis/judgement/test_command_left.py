@@ -22,7 +22,7 @@ from tuning.diagnosis.judgement.command_left import (
     FOLLOWS,
     SINGLE,
     TAPS,
-    doubted_by_command,
+    downgraded_by_command,
     follows_command,
 )
 from tuning.diagnosis.judgement.verdict import Belief, Verdict
@@ -72,9 +72,15 @@ def test_to_first_order_it_is_what_those_commands_explain(late):
     simulate_log, amounts = best.model.logged, np.full(TAPS, 1e-4) * np.array([1.0, -2.0, 1.0, 0.5, -0.5])
     added = command_left._last_commands(best) @ amounts
     lanes = simulate_log.lanes._replace(disturbance=simulate_log.lanes.disturbance + added)
-    moved = Fitter(simulate_log._replace(lanes=lanes)).at(best.model, best.u, best.process, best.track.course).track
-    change = (np.asarray(moved.innovation) - np.asarray(best.track.innovation)) / np.asarray(best.track.scatter)
-    expected = np.asarray(command_left._answers(best)) @ amounts * np.sqrt(float(best.track.size))
+    moved = (
+        Fitter(simulate_log._replace(lanes=lanes))
+        .at(best.model, best.theta, best.process_noise, best.filtered.trajectory)
+        .filtered
+    )
+    change = (np.asarray(moved.innovation) - np.asarray(best.filtered.innovation)) / np.asarray(
+        best.filtered.innovation_std
+    )
+    expected = np.asarray(command_left._answers(best)) @ amounts * np.sqrt(float(best.filtered.noise_scale_sq))
     assert np.linalg.norm(change - expected) < 0.05 * np.linalg.norm(expected)
 
 
@@ -84,7 +90,7 @@ def test_one_event_that_goes_wrong_is_no_answer_to_commands(late):
     best = late[0].best
     rate = best.model.logged.sampling.rate
     answers = np.asarray(command_left._answers(best)) @ np.array([1.0, -1.0, 0.0, 0.0, 0.0])
-    quick = int(np.argmax(np.abs(np.asarray(best.track.course.velocity[0]))))
+    quick = int(np.argmax(np.abs(np.asarray(best.filtered.trajectory.velocity[0]))))
     there = np.abs(np.arange(answers.shape[1]) - quick) < 0.05 * rate
     blow = np.where(there, answers, 0.0)
     struck = best._replace(residual=best.residual + 30.0 * (blow / np.linalg.norm(blow)).ravel())
@@ -98,9 +104,9 @@ def test_one_event_that_goes_wrong_is_no_answer_to_commands(late):
 )
 def test_a_table_that_is_slow_for_its_scale_or_hardly_slides_tells_nothing(late, speed, noise, told):
     best = late[1].best
-    there = best.track.course._replace(velocity=jnp.full_like(best.track.course.velocity, speed))
+    there = best.filtered.trajectory._replace(velocity=jnp.full_like(best.filtered.trajectory.velocity, speed))
     model = dataclasses.replace(best.model, logged=best.model.logged._replace(noise=noise))
-    follows = follows_command(best._replace(model=model, track=best.track._replace(course=there)))
+    follows = follows_command(best._replace(model=model, filtered=best.filtered._replace(trajectory=there)))
     assert (abs(follows) > 1e-6) == told
 
 
@@ -110,9 +116,9 @@ def test_the_commands_are_those_that_act_by_the_model_and_the_one_before():
     both = logged_of(late.drive, [simulate_log(late, two_sines(0.8, 4000.0), seed=k) for k in (1, 2)])
     assert both.thinning == 2
     found = SimpleNamespace(
-        model=SimpleNamespace(effects=lambda u: (LoopDelay(np.array([1.6, 1.6])),), logged=both),
-        u=None,
-        own=late.drive,
+        model=SimpleNamespace(effects=lambda theta: (LoopDelay(np.array([1.6, 1.6])),), logged=both),
+        theta=None,
+        recalibrated_drive=late.drive,
     )
     asked = command_left._last_commands(found)
     assert asked.shape == (*both.lanes.command.shape, TAPS)
@@ -151,6 +157,6 @@ def test_no_cause_is_sure_that_leaves_what_follows_the_command(monkeypatch, foll
     believed = Verdict(
         "effect", [Belief("loop_delay", 0.9, True, 0, 1e3, None, [])], 0.0, "loop_delay explains the gap"
     )
-    judged = doubted_by_command(believed, Explanation(fits[0], rounds, fits[-1]))
+    judged = downgraded_by_command(believed, Explanation(fits[0], rounds, fits[-1]))
     assert judged.verdict == verdict
     assert judged.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tuning.diagnosis.judgement.events import CHANCE, doubted_by_event, least_foreseen
+from tuning.diagnosis.judgement.events import CHANCE, downgraded_by_event, least_foreseen
 from tuning.diagnosis.judgement.verdict import Verdict
 
 RATE, LANES, SAMPLES = 2000.0, 2, 20_000
@@ -18,8 +18,10 @@ def fitted(innovation, counts=None):
     lanes = SimpleNamespace(counts=np.ones_like(innovation) if counts is None else counts)
     sampling = SimpleNamespace(rate=RATE, period=1.0 / RATE)
     logged = SimpleNamespace(lanes=lanes, sampling=sampling, starts=np.array([0.0, 30.0]), owner=(0, 1))
-    track = SimpleNamespace(innovation=innovation * 6e-6, scatter=np.full_like(innovation, 2e-6), size=9.0)
-    return SimpleNamespace(model=SimpleNamespace(logged=logged), track=track)
+    filtered = SimpleNamespace(
+        innovation=innovation * 6e-6, innovation_std=np.full_like(innovation, 2e-6), noise_scale_sq=9.0
+    )
+    return SimpleNamespace(model=SimpleNamespace(logged=logged), filtered=filtered)
 
 
 def test_noise_is_no_event_however_long_the_log():
@@ -30,7 +32,7 @@ def test_noise_is_no_event_however_long_the_log():
     ]
     assert min(decades) > -3.0
     assert max(decades) == 0.0
-    assert doubted_by_event(NONE, fitted(NOISE)) == NONE
+    assert downgraded_by_event(NONE, fitted(NOISE)) == NONE
 
 
 def test_a_moment_is_named_with_its_log_and_time():
@@ -40,27 +42,27 @@ def test_a_moment_is_named_with_its_log_and_time():
     assert event.decades < CHANCE
     assert (event.lane, event.samples) == (1, 10)
     assert event.begins == pytest.approx(4000, abs=3)
-    told = doubted_by_event(NONE, fitted(off))
+    told = downgraded_by_event(NONE, fitted(off))
     assert told.verdict == "unknown"
     assert "about 32.00" in told.says
     assert "into log 2" in told.says
     assert "no effect is missing" not in told.says
     found = Verdict("effect", [], 0.0, "cogging explains the gap")
-    assert doubted_by_event(found, fitted(off)) == found
+    assert downgraded_by_event(found, fitted(off)) == found
 
 
 def test_one_sample_that_went_astray_is_none_nor_what_does_not_count():
     off = NOISE.copy()
     off[0, 700] = 1e4
-    assert doubted_by_event(NONE, fitted(off)) == NONE
+    assert downgraded_by_event(NONE, fitted(off)) == NONE
     off[0, 700] = np.nan
-    assert doubted_by_event(NONE, fitted(off)) == NONE
+    assert downgraded_by_event(NONE, fitted(off)) == NONE
     off = NOISE.copy()
     off[0, 700:720] = 5.0
     counts = np.ones_like(off)
     counts[0, 700:720] = 0.0
-    assert doubted_by_event(NONE, fitted(off, counts)) == NONE
-    assert doubted_by_event(NONE, fitted(off)).verdict == "unknown"
+    assert downgraded_by_event(NONE, fitted(off, counts)) == NONE
+    assert downgraded_by_event(NONE, fitted(off)).verdict == "unknown"
 
 
 def test_a_table_that_rests_most_of_the_time_makes_no_event_of_its_motion():
@@ -68,10 +70,10 @@ def test_a_table_that_rests_most_of_the_time_makes_no_event_of_its_motion():
     off = NOISE.copy()
     off[:, :16_000] = 0.0
     quiet = fitted(off)
-    quiet.track.innovation /= 3.0  # as much as expected where it moves
-    quiet.track.size = 0.2
+    quiet.filtered.innovation /= 3.0  # as much as expected where it moves
+    quiet.filtered.noise_scale_sq = 0.2
     assert least_foreseen(quiet).decades > -3.0
-    quiet.track.innovation[0, 18_000:18_010] += 8e-6
+    quiet.filtered.innovation[0, 18_000:18_010] += 8e-6
     assert least_foreseen(quiet).decades < CHANCE
 
 

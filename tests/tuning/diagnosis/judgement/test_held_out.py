@@ -12,7 +12,16 @@ from tests.support.sound_log import DRIVE, simulate_log, two_sines
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.gap.gap import ForceGap, LoopGap
 from tuning.diagnosis.hypotheses.calibration import NAMES, tolerated
-from tuning.diagnosis.judgement.held_out import PLAIN, SEEN, Closed, closed, confirmed, denied, left_in_loop, upheld
+from tuning.diagnosis.judgement.held_out import (
+    PLAIN,
+    SEEN,
+    GapReduction,
+    confirmed,
+    fails_validation,
+    gap_reduction,
+    left_in_loop,
+    prune_on_validation,
+)
 from tuning.diagnosis.judgement.verdict import Belief, Verdict
 from tuning.diagnosis.selection.explain import Explanation
 from tuning.diagnosis.selection.search import Round
@@ -20,23 +29,25 @@ from tuning.diagnosis.selection.search import Round
 RATE = 1000.0
 
 
-def rung(deviance, scatter=0.0, moved=1.0):
+def comparison(deviance, scatter=0.0, moved=1.0):
     """What the held-out logs say of a model, piece by piece, and how far it moves a nominal parameter."""
     pieces = deviance / 50 + scatter * np.random.default_rng(0).choice([-1.0, 1.0], 50) * (deviance != 0.0)
     bare = SimpleNamespace(
-        u=np.full(len(NAMES), moved),
+        theta=np.full(len(NAMES), moved),
         model=SimpleNamespace(members=(), coarse=False, coupled=False, prior=tolerated(0.02)),
     )
     return SimpleNamespace(unlikely=pieces, fitted=bare)
 
 
 def test_a_model_is_denied_by_more_than_chance_and_more_than_a_little():
-    assert denied(rung(50.0), rung(0.0), 500.0)
-    assert not denied(rung(10.0), rung(0.0), 100.0)
-    assert not denied(rung(50.0), rung(0.0), 5000.0)  # beside what it explains it is little
-    assert not denied(rung(50.0, scatter=8.0), rung(0.0), 500.0)  # some pieces say so, others the contrary
-    assert not denied(rung(50.0), rung(0.0, moved=20.0), 500.0)  # by numbers that cannot be
-    assert denied(rung(50.0, moved=20.0), rung(0.0, moved=20.0), 500.0)
+    assert fails_validation(comparison(50.0), comparison(0.0), 500.0)
+    assert not fails_validation(comparison(10.0), comparison(0.0), 100.0)
+    assert not fails_validation(comparison(50.0), comparison(0.0), 5000.0)  # beside what it explains it is little
+    assert not fails_validation(
+        comparison(50.0, scatter=8.0), comparison(0.0), 500.0
+    )  # some pieces say so, others the contrary
+    assert not fails_validation(comparison(50.0), comparison(0.0, moved=20.0), 500.0)  # by numbers that cannot be
+    assert fails_validation(comparison(50.0, moved=20.0), comparison(0.0, moved=20.0), 500.0)
 
 
 def in_loop(position, floor, command=0.0, says="", coarse=True):
@@ -46,9 +57,9 @@ def in_loop(position, floor, command=0.0, says="", coarse=True):
     return SimpleNamespace(loop=loop, fitted=SimpleNamespace(model=SimpleNamespace(members=members)))
 
 
-def left(*rungs):
+def left(*comparisons):
     """Of the recalibrated drive and what follows; the nominal one tells nothing."""
-    return left_in_loop([in_loop(1e3, 1.0), *rungs])
+    return left_in_loop([in_loop(1e3, 1.0), *comparisons])
 
 
 def test_what_is_left_in_closed_loop_is_what_lies_beyond_the_floor():
@@ -88,8 +99,8 @@ def test_beside_another_an_effect_whose_details_differ_must_have_closed_most_of_
 @pytest.mark.parametrize(("held_out", "confidence"), [(-500.0, 0.9), (50.0, 0.5)])
 def test_a_cause_that_foresees_held_out_logs_worse_is_not_believed(held_out, confidence):
     verdict = Verdict("effect", [Belief("cogging", 0.9, True, 0, 500.0, None, [])], 0.0, "cogging explains the gap")
-    rungs = [rung(one) for one in (100.0, 0.0, held_out)]
-    judged = confirmed(verdict, rungs, None)
+    comparisons = [comparison(one) for one in (100.0, 0.0, held_out)]
+    judged = confirmed(verdict, comparisons, None)
     assert judged.verdict == ("effect" if held_out < 0.0 else "unknown")
     assert judged.beliefs[0].confidence == confidence
 
@@ -98,9 +109,9 @@ def test_a_cause_that_foresees_held_out_logs_worse_is_not_believed(held_out, con
 def test_a_second_effect_that_foresees_held_out_logs_worse_is_withdrawn(held_out, stays):
     fits = [SimpleNamespace(evidence=-900.0 * k, model=SimpleNamespace(added=k)) for k in range(len(held_out))]
     rounds = [Round(fits[k], [], [fits[k + 1]], 1, 0.0) for k in range(2)]
-    rungs = [rung(one) for one in (100.0, *held_out)]
+    comparisons = [comparison(one) for one in (100.0, *held_out)]
     elsewhere = Explanation(fits[0], rounds[:1], fits[2])
-    found, left = upheld(Explanation(fits[0], rounds, fits[2], elsewhere), rungs)
+    found, left = prune_on_validation(Explanation(fits[0], rounds, fits[2], elsewhere), comparisons)
     assert found.best is fits[stays]
     assert (found.other is elsewhere) == (stays == 2)  # two effects are no rival of the one that is left
     assert len(left) == stays + 2
@@ -116,13 +127,13 @@ def lacking(force, floor=1.0, trusting=2.0):
 
 
 def test_what_is_closed_is_counted_from_the_floor():
-    share, low, high = closed(lacking(3.0), lacking(np.sqrt(3.0)), RATE)
+    share, low, high = gap_reduction(lacking(3.0), lacking(np.sqrt(3.0)), RATE)
     assert share == pytest.approx(1.0 - 2.0 / 8.0)  # (3 - 1) of (9 - 1) N^2 are left
     assert low <= share <= high
     assert high - low < 0.05
-    assert closed(lacking(3.0), lacking(0.9), RATE).share == 1.0  # below the floor is at it
-    assert closed(lacking(3.0), lacking(4.0), RATE).share < 0.0
-    assert closed(lacking(1.02), lacking(1.0), RATE) is None  # of nothing there is no share
+    assert gap_reduction(lacking(3.0), lacking(0.9), RATE).share == 1.0  # below the floor is at it
+    assert gap_reduction(lacking(3.0), lacking(4.0), RATE).share < 0.0
+    assert gap_reduction(lacking(1.02), lacking(1.0), RATE) is None  # of nothing there is no share
 
 
 def test_of_a_gap_that_may_as_well_be_none_there_is_no_share():
@@ -130,10 +141,10 @@ def test_of_a_gap_that_may_as_well_be_none_there_is_no_share():
     gap = lacking(1.07)
     loud = np.where(np.arange(20_000) % 5000 < 2000, 1.5, 0.5)
     gap.force = gap.force._replace(force=gap.force.force * loud / np.sqrt(np.mean(loud**2)))
-    assert closed(gap, gap, RATE) is None
+    assert gap_reduction(gap, gap, RATE) is None
     clear = lacking(3.0)
     clear.force = clear.force._replace(force=3.0 * gap.force.force)
-    assert closed(clear, clear, RATE) == (0.0, 0.0, 0.0)
+    assert gap_reduction(clear, clear, RATE) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("before", [1.0, 1.3, 2.0])
@@ -142,46 +153,50 @@ def test_a_gap_that_is_opened_in_a_single_place_is_opened(before):
     after = lacking(0.97)
     loud = np.where(np.abs(np.arange(20_000) - 10_000) < 125, 20.0, 1.0)
     after.force = after.force._replace(force=after.force.force * loud)
-    share = closed(lacking(before), after, RATE)
+    share = gap_reduction(lacking(before), after, RATE)
     assert share.share < 0.0
 
 
 def test_what_closes_next_to_nothing_of_a_plain_gap_closes_nothing():
-    assert closed(lacking(2.0), lacking(1.95), RATE).share < 0.1
+    assert gap_reduction(lacking(2.0), lacking(1.95), RATE).share < 0.1
 
 
 def test_a_model_told_by_a_filter_of_its_own_is_held_against_the_floor_of_that():
     before = lacking(3.0, floor=np.sqrt(5.0), trusting=200.0)
-    assert closed(before, lacking(1.0, floor=0.5), RATE).share == pytest.approx(1.0 - 0.75 / 4.0)
-    assert closed(before, lacking(1.0, floor=0.5, trusting=200.0), RATE).share == pytest.approx(1.0 - 0.75 / 8.75)
+    assert gap_reduction(before, lacking(1.0, floor=0.5), RATE).share == pytest.approx(1.0 - 0.75 / 4.0)
+    assert gap_reduction(before, lacking(1.0, floor=0.5, trusting=200.0), RATE).share == pytest.approx(
+        1.0 - 0.75 / 8.75
+    )
     hidden = lacking(1.02, floor=1.0, trusting=200.0)
-    assert closed(hidden, lacking(0.5, floor=0.5), RATE) is None  # not more than its own filter makes of the noise
+    assert (
+        gap_reduction(hidden, lacking(0.5, floor=0.5), RATE) is None
+    )  # not more than its own filter makes of the noise
 
 
 def test_an_effect_that_opens_a_gap_closes_none():
-    assert closed(lacking(1.0), lacking(2.0), RATE).high < 0.0
-    assert closed(lacking(1.0), lacking(1.04), RATE) is None  # within the floor
+    assert gap_reduction(lacking(1.0), lacking(2.0), RATE).high < 0.0
+    assert gap_reduction(lacking(1.0), lacking(1.04), RATE) is None  # within the floor
 
 
 @pytest.mark.parametrize(
     ("before", "after"), [((3.0, 1.0), (np.nan, 1.0)), ((np.nan, 1.0), (1.0, 1.0)), ((3.0, 1.0), (1.0, np.nan))]
 )
 def test_a_filter_that_ran_away_closes_nothing(before, after):
-    assert closed(lacking(*before), lacking(*after), RATE) == (0.0, 0.0, 0.0)
+    assert gap_reduction(lacking(*before), lacking(*after), RATE) == (0.0, 0.0, 0.0)
 
 
 def test_a_filter_that_is_lost_closes_nothing_and_what_it_saw_is_nothing_to_close():
     near, lost = lacking(3.0), lacking(1e-7)
     lost.force = lost.force._replace(lost=0.3)
-    assert closed(near, lost, RATE) == (0.0, 0.0, 0.0)
-    assert closed(lost, near, RATE) is None
+    assert gap_reduction(near, lost, RATE) == (0.0, 0.0, 0.0)
+    assert gap_reduction(lost, near, RATE) is None
 
 
 def test_a_filter_that_ran_away_denies():
-    sound, gone = rung(0.0), SimpleNamespace(unlikely=np.full(50, np.nan), fitted=rung(0.0).fitted)
-    assert denied(gone, sound, 500.0)
-    assert denied(gone, gone, 500.0)
-    assert not denied(sound, gone, 500.0)
+    sound, gone = comparison(0.0), SimpleNamespace(unlikely=np.full(50, np.nan), fitted=comparison(0.0).fitted)
+    assert fails_validation(gone, sound, 500.0)
+    assert fails_validation(gone, gone, 500.0)
+    assert not fails_validation(sound, gone, 500.0)
 
 
 @pytest.mark.parametrize(
@@ -190,7 +205,7 @@ def test_a_filter_that_ran_away_denies():
 )
 def test_a_cause_that_leaves_most_of_the_held_out_gap_is_not_believed(share, verdict):
     believed = Verdict("effect", [Belief("cogging", 0.9, True, 0, 500.0, None, [])], 0.0, "cogging explains the gap")
-    judged = confirmed(believed, [rung(one) for one in (100.0, 0.0, -500.0)], share and Closed(*share))
+    judged = confirmed(believed, [comparison(one) for one in (100.0, 0.0, -500.0)], share and GapReduction(*share))
     assert judged.verdict == verdict
     assert judged.beliefs[0].confidence == (0.9 if verdict == "effect" else 0.5)
     assert ("of the missing force is gone" in judged.says) == (verdict == "unknown")
@@ -200,18 +215,18 @@ def test_a_cause_that_leaves_most_of_the_held_out_gap_is_not_believed(share, ver
 def test_details_that_an_effect_may_leave_are_no_larger_than_what_noise_makes(left, coarse, verdict):
     """Though that is a thousandth of the gap: a play in the place of an elastic screw leaves no more."""
     believed = Verdict("effect", [Belief("backlash", 0.9, True, 0, 5e4, None, [])], 0.0, "backlash explains the gap")
-    rungs = [rung(one) for one in (100.0, 0.0, -500.0)]
-    rungs[-1].force, rungs[-1].floor = lacking(left).force, 1.0
-    rungs[-1].fitted.model.coarse = coarse
-    judged = confirmed(believed, rungs, Closed(0.999, 0.99, 1.0))
+    comparisons = [comparison(one) for one in (100.0, 0.0, -500.0)]
+    comparisons[-1].force, comparisons[-1].floor = lacking(left).force, 1.0
+    comparisons[-1].fitted.model.coarse = coarse
+    judged = confirmed(believed, comparisons, GapReduction(0.999, 0.99, 1.0))
     assert judged.verdict == ("effect", "unknown")[verdict]
     assert judged.beliefs[0].confidence == (0.9, 0.5)[verdict]
     assert ("2.6 times its floor" in judged.says) == bool(verdict)
-    rungs[-1].fitted.model.coupled = True  # then the floor may be the recalibrated drive's, whose filter is lost
-    rungs[1].force = lacking(1.0).force._replace(lost=0.5)
-    assert confirmed(believed, rungs, Closed(0.999, 0.99, 1.0)).verdict == "effect"
-    rungs[-1].fitted.model.coupled, rungs[-1].floor = False, np.inf
-    assert confirmed(believed, rungs, Closed(0.999, 0.99, 1.0)).verdict == "effect"
+    comparisons[-1].fitted.model.coupled = True  # then the floor may be the recalibrated drive's, whose filter is lost
+    comparisons[1].force = lacking(1.0).force._replace(lost=0.5)
+    assert confirmed(believed, comparisons, GapReduction(0.999, 0.99, 1.0)).verdict == "effect"
+    comparisons[-1].fitted.model.coupled, comparisons[-1].floor = False, np.inf
+    assert confirmed(believed, comparisons, GapReduction(0.999, 0.99, 1.0)).verdict == "effect"
 
 
 @pytest.mark.long
@@ -225,6 +240,6 @@ def test_what_begins_in_the_last_part_of_a_single_log_is_proved_in_other_parts()
     assert found.verdict.verdict == "effect"
     assert [one.effect for one in found.verdict.beliefs if one.found] == ["applied_load"]
     assert found.closed.share > 0.9
-    values = found.found.model.values(found.found.u)[-1]
+    values = found.found.model.values(found.found.theta)[-1]
     assert values["more"][0] == pytest.approx(40e3, rel=0.05)
     assert values["start"][0] == pytest.approx(3.5, abs=0.05)

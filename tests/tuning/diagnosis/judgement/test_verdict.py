@@ -14,7 +14,7 @@ def leaving(monkeypatch):
     """Let every explanation leave such a share of what was missing."""
 
     def leave(share):
-        monkeypatch.setattr(verdict, "complete", lambda *_: False)
+        monkeypatch.setattr(verdict, "is_complete", lambda *_: False)
         monkeypatch.setattr(verdict, "unexplained", lambda *_: share)
 
     return leave
@@ -119,8 +119,8 @@ def test_where_details_differ_the_simulation_tells_how_much_is_explained(leaving
     ],
 )
 def test_where_recalibration_leaves_no_gap_none_is_explained(monkeypatch, moved, says):
-    monkeypatch.setattr(verdict, "complete", lambda *_: True)
-    base, best = fake_fit(evidence=0.0, strain=moved), fake_fit("friction_shape", evidence=-100.0)
+    monkeypatch.setattr(verdict, "is_complete", lambda *_: True)
+    base, best = fake_fit(evidence=0.0, max_prior_deviation=moved), fake_fit("friction_shape", evidence=-100.0)
     told = verdict.judge(None, Explanation(base, [Round(base, [], [best], 1, 0.0)], best))
     assert told.verdict == "effect"
     assert told.says.startswith(says)

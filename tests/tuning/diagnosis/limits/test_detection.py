@@ -9,8 +9,8 @@ from diffdrive.effects.actuator import ForceGain
 from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.effects.scale import LeadError
 from tests.support.perturbed_machine import catalogue, fitter_of, recalibrated_of
-from tuning.diagnosis.filter.second_encoder import Twist, seen_by, unlikelihood
-from tuning.diagnosis.fits.leftover import LACKING, relevant_forces
+from tuning.diagnosis.filter.second_encoder import Twist, seen_by, twist_deviance
+from tuning.diagnosis.fits.goodness_of_fit import LACKING, relevant_forces
 from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
 from tuning.diagnosis.hypotheses.priors import Parameter
@@ -49,7 +49,7 @@ def limits_of(fitter, fitted, several, needed=LACKING):
 
 def usual(fitter, base):
     """In the filter that allows every model the force which counts as nothing missing."""
-    return fitter.under(base, np.maximum(base.process, relevant_forces(fitter, base)))
+    return fitter.under(base, np.maximum(base.process_noise, relevant_forces(fitter, base)))
 
 
 def evidence_of(name, *effects):
@@ -147,7 +147,7 @@ def test_neither_what_a_fit_has_nor_what_has_nothing_to_tell_has_a_limit(sound):
     fitter, base = sound
     force = candidate_of(sound, "constant_force")
     model = joined(base.model, force)
-    fit = fitter.fit(model, np.r_[base.u, 0.1], base.process, base.track.course, most=0)
+    fit = fitter.fit(model, np.r_[base.theta, 0.1], base.process_noise, base.filtered.trajectory, most=0)
     assert limits_of(fitter, fit, [force, force._replace(parameters=(), effect=ForceGain)]) == []
     assert limits_of(fitter, base, []) == []
 
@@ -159,12 +159,12 @@ def candidate_of(sound, name):
 def test_what_is_free_makes_way_as_in_a_joint_fit():
     """Against the same quadratic cost, minimised by all at once."""
     rng = np.random.default_rng(3)
-    jacobian, columns, residual, u = (rng.normal(size=size) for size in ((60, 4), (60, 3), 60, 4))
-    fit = SimpleNamespace(jacobian=jacobian, hessian=jacobian.T @ jacobian + np.eye(4), residual=residual, u=u)
+    jacobian, columns, residual, theta = (rng.normal(size=size) for size in ((60, 4), (60, 3), 60, 4))
+    fit = SimpleNamespace(jacobian=jacobian, hessian=jacobian.T @ jacobian + np.eye(4), residual=residual, theta=theta)
     found = reduced(fit, columns)
     both = np.hstack([jacobian, columns])
     prior = np.diag(np.r_[np.ones(4), np.zeros(3)])
-    joint = -np.linalg.solve(both.T @ both + prior, both.T @ residual + np.r_[u, np.zeros(3)])
+    joint = -np.linalg.solve(both.T @ both + prior, both.T @ residual + np.r_[theta, np.zeros(3)])
     np.testing.assert_allclose(-np.linalg.solve(found.curvature, found.slope), joint[4:], rtol=1e-9)
     np.testing.assert_allclose(-found.wanted - found.way @ joint[4:], joint[:4], rtol=1e-9)
 
@@ -193,7 +193,7 @@ def test_what_a_second_encoder_would_see_is_what_its_likelihood_falls_by():
     twist = Twist(rest + added, counts, 1e-7)
     nothing = np.zeros_like(added)
     seen = seen_by(twist, added, added, period=1e-3)
-    falls = unlikelihood(twist, nothing, 1e-3) - unlikelihood(twist, added, 1e-3)
+    falls = twist_deviance(twist, nothing, 1e-3) - twist_deviance(twist, added, 1e-3)
     cross = 2.0 * float(np.sum((rest - rest.mean(axis=1, keepdims=True)) * added))  # by chance of this noise
     share = cross / float(np.sum((added - added.mean(axis=1, keepdims=True)) ** 2))
     assert falls == pytest.approx(float(seen @ seen) * (1.0 + share), rel=0.02)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.perturbed_machine import catalogue, recalibrated_of
-from tuning.diagnosis.fits.leftover import LACKING
+from tuning.diagnosis.fits.goodness_of_fit import LACKING
 from tuning.diagnosis.judgement.verdict import COLDEST, DECLARED, SOFT
 from tuning.diagnosis.limits import isolability
 from tuning.diagnosis.limits.detection import Answers, ByAmount, DetectionLimit, detection_limits, small_amounts
@@ -95,7 +95,7 @@ def test_two_that_do_the_same_are_never_told_apart(monkeypatch):
         lambda _, candidate, name, size: DetectionLimit(candidate.name, name, "N", size, False),
     )  # fmt: skip
     empty = np.zeros((ROWS, 0))
-    fitted = SimpleNamespace(hessian=np.zeros((0, 0)), jacobian=empty, residual=np.zeros(ROWS), u=np.zeros(0))
+    fitted = SimpleNamespace(hessian=np.zeros((0, 0)), jacobian=empty, residual=np.zeros(ROWS), theta=np.zeros(0))
     limits = [DetectionLimit(one.candidate.name, "force", "N", 0.3, False) for one in amounts[:2]]
     found = isolability.rivalries(None, fitted, amounts, limits)
     assert [(one.seen.effect, one.rival, one.isolable) for one in found] == [

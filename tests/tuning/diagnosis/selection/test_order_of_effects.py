@@ -8,17 +8,17 @@ import pytest
 from diffdrive.model.parameters import Sampling
 from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F401
 from tests.support.sound_log import DRIVE
-from tuning.diagnosis.fits import leftover
+from tuning.diagnosis.fits import goodness_of_fit
 from tuning.diagnosis.fits.fitting import MOST_STEPS
-from tuning.diagnosis.fits.leftover import (
+from tuning.diagnosis.fits.goodness_of_fit import (
     IMPOSSIBLE,
     LEFT,
     SLIGHT,
     STRAINED,
     WORTH,
-    lacking,
+    max_prior_deviation,
+    missing_evidence,
     relieves,
-    strain,
     unexplained,
 )
 from tuning.diagnosis.hypotheses.calibration import NAMES
@@ -26,7 +26,7 @@ from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.setting import Setting
 from tuning.diagnosis.selection import explain, search
 from tuning.diagnosis.selection.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, _further, evidence_needed
-from tuning.diagnosis.selection.leading import led_on, to_its_end
+from tuning.diagnosis.selection.refit import refit_rivals, to_its_end
 from tuning.diagnosis.selection.search import CLOSE, SETTLED, Round, _again, _ranked
 
 AXIS = Setting(
@@ -50,8 +50,8 @@ pytestmark = pytest.mark.usefixtures("no_filter_lost")
     ],
 )
 def test_what_one_more_effect_must_bring(monkeypatch, before, strain_then, ended, whole, enough):
-    monkeypatch.setattr(explain, "complete", lambda *_: whole)
-    best = fake_fit("cogging", evidence=-before, strain=strain_then)
+    monkeypatch.setattr(explain, "is_complete", lambda *_: whole)
+    best = fake_fit("cogging", evidence=-before, max_prior_deviation=strain_then)
     assert (
         evidence_needed(None, fake_fit(evidence=0.0), best, ended, [fake_fit("backlash", evidence=-2.0 * before)])
         == enough
@@ -59,38 +59,40 @@ def test_what_one_more_effect_must_bring(monkeypatch, before, strain_then, ended
 
 
 def test_impossible_parameters_are_explained_by_what_brings_them_back():
-    before = fake_fit(evidence=0.0, strain=10.0)
+    before = fake_fit(evidence=0.0, max_prior_deviation=10.0)
     believed = fake_fit(evidence=5000.0)
-    gain = fake_fit("force_gain", evidence=100.0, strain=1.0)  # SLIGHT of what the strain gained: allowed
-    cogging = fake_fit("cogging", evidence=-150.0, strain=9.0)
+    gain = fake_fit("force_gain", evidence=100.0, max_prior_deviation=1.0)  # SLIGHT of what the strain gained: allowed
+    cogging = fake_fit("cogging", evidence=-150.0, max_prior_deviation=9.0)
     looked = _ranked(before, believed, [], [cogging, gain])
     assert names(looked) == ["force_gain", "cogging"]
     assert looked.rivals == 1
     assert looked.allowance == SLIGHT * 5000.0
     for fits in (
         [cogging],
-        [cogging, fake_fit("force_gain", evidence=300.0, strain=1.0)],
+        [cogging, fake_fit("force_gain", evidence=300.0, max_prior_deviation=1.0)],
     ):
         looked = _ranked(before, believed, [], fits)
         assert names(looked)[0] == "cogging"
         assert (looked.rivals, looked.allowance) == (len(fits), 0.0)
     assert names(_ranked(before, None, [], [gain, cogging])) == ["cogging", "force_gain"]
-    dwell = fake_fit("friction_dwell", evidence=-9000.0, strain=9.0)  # far more than those parameters explained
+    dwell = fake_fit(
+        "friction_dwell", evidence=-9000.0, max_prior_deviation=9.0
+    )  # far more than those parameters explained
     assert names(_ranked(before, believed, [], [dwell, gain]))[0] == "friction_dwell"
 
 
 @pytest.mark.parametrize(
-    ("strain", "more", "first"),
+    ("max_prior_deviation", "more", "first"),
     [
         (IMPOSSIBLE - 1.0, SETTLED + 1.0, "backlash"),
         (IMPOSSIBLE - 1.0, SETTLED - 1.0, "force_gain"),
         (IMPOSSIBLE + 1.0, SETTLED + 1.0, "force_gain"),
     ],
 )
-def test_what_clearly_explains_more_with_parameters_that_can_be_stays_first(strain, more, first):
-    before, believed = fake_fit(evidence=0.0, strain=10.0), fake_fit(evidence=5000.0)
-    gain = fake_fit("force_gain", evidence=-100.0, strain=1.0)
-    backlash = fake_fit("backlash", evidence=-100.0 - more, strain=strain)
+def test_what_clearly_explains_more_with_parameters_that_can_be_stays_first(max_prior_deviation, more, first):
+    before, believed = fake_fit(evidence=0.0, max_prior_deviation=10.0), fake_fit(evidence=5000.0)
+    gain = fake_fit("force_gain", evidence=-100.0, max_prior_deviation=1.0)
+    backlash = fake_fit("backlash", evidence=-100.0 - more, max_prior_deviation=max_prior_deviation)
     assert names(_ranked(before, believed, [], [gain, backlash]))[0] == first
 
 
@@ -104,21 +106,21 @@ def test_what_clearly_explains_more_with_parameters_that_can_be_stays_first(stra
 )
 def test_what_elements_before_sliding_take_over_was_not_moved(moved, effect, far):
     one = fake_fit(effect, evidence=0.0)
-    one.u[NAMES.index(moved)] = -9.0
-    assert strain(one) == far
-    assert strain(one, NAMES) == 9.0
+    one.theta[NAMES.index(moved)] = -9.0
+    assert max_prior_deviation(one) == far
+    assert max_prior_deviation(one, NAMES) == 9.0
 
 
 def strained(*effects, evidence, by):
     """A fit that moves the bristle by that many tolerances."""
     one = fake_fit(*effects, evidence=evidence)
-    one.u[NAMES.index("bristle_stiffness")] = by
+    one.theta[NAMES.index("bristle_stiffness")] = by
     return one
 
 
 def test_what_elements_take_over_is_not_brought_back_by_them(monkeypatch):
     """The bristle stays where it was; that it means nothing any more is no merit."""
-    monkeypatch.setattr(explain, "complete", lambda *_: False)
+    monkeypatch.setattr(explain, "is_complete", lambda *_: False)
     base, dwell = fake_fit(evidence=0.0), strained("friction_dwell", evidence=-5000.0, by=4.5)
     elements = strained("friction_dwell", "presliding_hysteresis", evidence=-5020.0, by=4.5)
     assert evidence_needed(None, base, dwell, False, [elements]) == pytest.approx(SLIGHT * 5000.0)
@@ -131,7 +133,7 @@ def test_what_elements_take_over_is_not_brought_back_by_them(monkeypatch):
     assert names(looked) == ["cogging", "presliding_hysteresis"]
     assert looked.allowance == 0.0
     assert not relieves(worse, before, IMPOSSIBLE)
-    assert relieves(fake_fit("cogging", evidence=0.0, strain=1.0), before, IMPOSSIBLE)
+    assert relieves(fake_fit("cogging", evidence=0.0, max_prior_deviation=1.0), before, IMPOSSIBLE)
 
 
 @pytest.mark.parametrize("share", [0.5 * AGAIN, 1.5 * AGAIN])
@@ -145,8 +147,8 @@ def test_what_a_fit_gains_by_going_on_is_not_credited_to_an_effect(monkeypatch, 
         found = [fake_fit("cogging" if len(looks) == 1 else "backlash", evidence=-1000.0)]
         return Round(before, [], found, 1, 0.0)
 
-    monkeypatch.setattr(explain, "look", look)
-    monkeypatch.setattr(explain, "complete", lambda *_: False)
+    monkeypatch.setattr(explain, "select_next_effect", look)
+    monkeypatch.setattr(explain, "is_complete", lambda *_: False)
     monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
     monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: further if before is stopped else None)
     found = explain.explain(None, stopped, [], lambda *_: None, most=1)
@@ -159,45 +161,59 @@ def test_what_a_fit_gains_by_going_on_is_not_credited_to_an_effect(monkeypatch, 
 def test_what_a_fit_lacks_does_not_depend_on_where_its_effects_were_stepped():
     """An effect that remembers rest is another one along another course: that is no force that the filter invented."""
 
-    def at(model, u, process, course):
-        return SimpleNamespace(cost=100.0 * course - 7.0 * float(process[0] > 0.5))
+    def at(model, theta, process_noise, trajectory):
+        return SimpleNamespace(cost=100.0 * trajectory - 7.0 * float(process_noise[0] > 0.5))
 
     fitted = SimpleNamespace(
-        model=None, u=None, own=DRIVE.drive, process=np.array([1.0, 0.1]), cost=3.0, track=SimpleNamespace(course=5.0)
+        model=None,
+        theta=None,
+        recalibrated_drive=DRIVE.drive,
+        process_noise=np.array([1.0, 0.1]),
+        cost=3.0,
+        filtered=SimpleNamespace(trajectory=5.0),
     )
     logged = SimpleNamespace(sampling=Sampling(1e3, 10), loop_samples=1)
-    assert lacking(SimpleNamespace(at=at, logged=logged), fitted) == 7.0
+    assert missing_evidence(SimpleNamespace(at=at, logged=logged), fitted) == 7.0
 
 
 def test_between_snapshots_a_sudden_force_is_none_that_a_model_lacks():
     """A fit that blames all on lasting forces is likelier by 3 than one that may blame each row for itself."""
 
-    def at(model, u, process, course):
-        cost = 100.0 - 50.0 * float(process[0] > 0.5) - 47.0 * float(0.5 < process[1] < 50.0)
-        return SimpleNamespace(cost=cost if process[0] < 0.5 or process[1] < 0.5 else 60.0, process=process)
+    def at(model, theta, process_noise, trajectory):
+        cost = 100.0 - 50.0 * float(process_noise[0] > 0.5) - 47.0 * float(0.5 < process_noise[1] < 50.0)
+        return SimpleNamespace(
+            cost=cost if process_noise[0] < 0.5 or process_noise[1] < 0.5 else 60.0, process_noise=process_noise
+        )
 
     def with_process(there, model, processes):
         return min((at(model, None, one, None) for one in processes), key=lambda one: one.cost)
 
-    track = SimpleNamespace(course=5.0)
-    fitted = SimpleNamespace(model=None, u=None, own=DRIVE.drive, process=np.array([1.0, 1e-3]), cost=50.0, track=track)
+    filtered = SimpleNamespace(trajectory=5.0)
+    fitted = SimpleNamespace(
+        model=None,
+        theta=None,
+        recalibrated_drive=DRIVE.drive,
+        process_noise=np.array([1.0, 1e-3]),
+        cost=50.0,
+        filtered=filtered,
+    )
     for samples, lacks in ((1, 50.0), (4, 3.0)):
         logged = SimpleNamespace(sampling=Sampling(1e3, 10), loop_samples=samples)
         fitter = SimpleNamespace(at=at, with_process=with_process, logged=logged, least=1e-3)
-        assert lacking(fitter, fitted) == lacks
+        assert missing_evidence(fitter, fitted) == lacks
 
 
 @pytest.mark.parametrize("ended", [False, True])
 def test_the_details_of_an_effect_within_the_filter_may_bring_more(monkeypatch, ended):
-    monkeypatch.setattr(explain, "complete", lambda *_: True)
-    best = fake_fit("backlash", evidence=-1e4, coarse=True, strain=4.5)
-    fits = [fake_fit("cogging", evidence=-2e4, strain=4.2)]
+    monkeypatch.setattr(explain, "is_complete", lambda *_: True)
+    best = fake_fit("backlash", evidence=-1e4, coarse=True, max_prior_deviation=4.5)
+    fits = [fake_fit("cogging", evidence=-2e4, max_prior_deviation=4.2)]
     assert evidence_needed(None, fake_fit(evidence=0.0), best, ended, fits) == SLIGHTER * 1e4
     assert evidence_needed(None, fake_fit(evidence=10.0 - 1e4), best, True, fits) == RELIEF
 
 
 def test_where_the_filter_was_lost_all_along_a_second_effect_must_bring_more(monkeypatch):
-    monkeypatch.setattr(explain, "complete", lambda *_: False)
+    monkeypatch.setattr(explain, "is_complete", lambda *_: False)
     monkeypatch.setattr(explain, "blind", lambda *_: True)
     base, best = fake_fit(evidence=0.0), fake_fit("cogging", evidence=-1e4)
     assert evidence_needed(None, base, best, False, [fake_fit("backlash", evidence=-2e4)]) == SLIGHTER * 1e4
@@ -208,17 +224,17 @@ def test_a_fit_that_leads_to_no_machine_that_can_be_is_not_gone_on_with():
         return SimpleNamespace(fit=lambda *_: further)
 
     one = fake_fit("frame_vibration", evidence=-100.0)
-    one.steps, one.process, one.track = MOST_STEPS, None, SimpleNamespace(course=None)
+    one.steps, one.process_noise, one.filtered = MOST_STEPS, None, SimpleNamespace(trajectory=None)
     runaway, impossible = fake_fit("frame_vibration", evidence=np.inf), fake_fit("frame_vibration", evidence=-900.0)
-    impossible.model.possible = lambda u: False
+    impossible.model.possible = lambda theta: False
     for further in (runaway, impossible):
         further.steps = 3
         assert to_its_end(fitter(further), one) is one
-        assert led_on(fitter(further), [one]) == [one]
+        assert refit_rivals(fitter(further), [one]) == [one]
     sound = fake_fit("frame_vibration", evidence=-200.0)
     sound.steps = 3
     assert to_its_end(fitter(sound), one) is sound
-    assert led_on(fitter(sound), [one]) == [sound]
+    assert refit_rivals(fitter(sound), [one]) == [sound]
 
 
 def test_where_going_on_leaves_nothing_no_more_is_looked_for(monkeypatch):
@@ -234,8 +250,8 @@ def test_where_going_on_leaves_nothing_no_more_is_looked_for(monkeypatch):
         fits = [fake_fit(*there, name, evidence=before.evidence - 1000.0)] if name in looks[-1] else []
         return Round(before, [], fits, 1, 0.0)
 
-    monkeypatch.setattr(explain, "look", look)
-    monkeypatch.setattr(explain, "complete", lambda fitter, one: one is further)
+    monkeypatch.setattr(explain, "select_next_effect", look)
+    monkeypatch.setattr(explain, "is_complete", lambda fitter, one: one is further)
     monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
     monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: further if fits and len(looks) > 1 else None)
     found = explain.explain(None, fake_fit(evidence=0.0), offered, lambda *_: None)
@@ -252,8 +268,8 @@ def test_what_a_second_encoder_would_see_is_looked_for_though_the_first_misses_n
         looked.extend(few)
         return Round(before, [], [], 0, 0.0)
 
-    monkeypatch.setattr(explain, "look", look)
-    monkeypatch.setattr(explain, "complete", lambda *_: True)
+    monkeypatch.setattr(explain, "select_next_effect", look)
+    monkeypatch.setattr(explain, "is_complete", lambda *_: True)
     explain.explain(SimpleNamespace(twist=twist), fake_fit(evidence=0.0), candidates(AXIS), lambda *_: None)
     names = {one.name for one in looked}
     assert "constant_force" in names
@@ -267,53 +283,58 @@ def test_what_a_second_encoder_would_see_is_looked_for_though_the_first_misses_n
 @pytest.mark.parametrize("after", [np.inf, np.nan])
 def test_a_filter_that_runs_away_explains_nothing(monkeypatch, base, after):
     ran = {0.0: base, -1.0: after, -2.0: 1.0}
-    monkeypatch.setattr(leftover, "missing", lambda fitter, one: ran[one.evidence])
+    monkeypatch.setattr(goodness_of_fit, "missing", lambda fitter, one: ran[one.evidence])
     before, runaway, sound = (fake_fit(evidence=one) for one in ran)
-    for one, process in ((before, 2.0), (runaway, 1.0), (sound, 0.1)):
-        one.process = np.array([process, 0.0])
+    for one, process_noise in ((before, 2.0), (runaway, 1.0), (sound, 0.1)):
+        one.process_noise = np.array([process_noise, 0.0])
     assert unexplained(None, before, runaway) == 1.0
     assert unexplained(None, before, sound) == pytest.approx(1e-4 if np.isfinite(base) else 0.0025)
 
 
 def test_of_a_filter_that_was_lost_all_along_the_invented_force_counts(monkeypatch):
-    monkeypatch.setattr(leftover, "missing", lambda fitter, one: 1e4)
+    monkeypatch.setattr(goodness_of_fit, "missing", lambda fitter, one: 1e4)
     before, after = fake_fit(evidence=0.0), fake_fit("cogging", evidence=-900.0)
-    before.process, after.process = np.array([2.0, 0.0]), np.array([0.2, 0.0])
+    before.process_noise, after.process_noise = np.array([2.0, 0.0]), np.array([0.2, 0.0])
     assert unexplained(None, before, after) == 1.0
-    monkeypatch.setattr(leftover, "blind", lambda *_: True)
+    monkeypatch.setattr(goodness_of_fit, "blind", lambda *_: True)
     assert unexplained(None, before, after) == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize(("here", "gains"), [(-500.0, True), (-5.0, False)])
 def test_a_filter_that_was_trusted_too_little_is_no_evidence_for_an_effect(monkeypatch, here, gains):
     """Where the richer fit ended differs from the simpler one's in nothing but how far its filter trusts the model."""
-    before, best = fake_fit(evidence=0.0, strain=1.0), fake_fit("force_gain", evidence=-500.0, strain=3.0)
+    before, best = (
+        fake_fit(evidence=0.0, max_prior_deviation=1.0),
+        fake_fit("force_gain", evidence=-500.0, max_prior_deviation=3.0),
+    )
     for one, force in ((before, 1.0), (best, 0.1)):
-        one.process, one.track = np.array([force, force]), SimpleNamespace(course=None)
-    monkeypatch.setattr(explain, "_without", lambda *_: [best.u])  # far off: what makes up for an effect bends
+        one.process_noise, one.filtered = np.array([force, force]), SimpleNamespace(trajectory=None)
+    monkeypatch.setattr(explain, "_without", lambda *_: [best.theta])  # far off: what makes up for an effect bends
 
-    def at(model, u, process, course):
-        cost = here if u is before.u else 9000.0
-        return SimpleNamespace(u=u, process=process, cost=cost, track=before.track)
+    def at(model, theta, process_noise, trajectory):
+        cost = here if theta is before.theta else 9000.0
+        return SimpleNamespace(theta=theta, process_noise=process_noise, cost=cost, filtered=before.filtered)
 
     fitter = SimpleNamespace(
         at=at,
         with_process=lambda one, *_: one,
-        fit=lambda model, u, *_: fake_fit(evidence=at(model, u, None, 0).cost),
+        fit=lambda model, theta, *_: fake_fit(evidence=at(model, theta, None, 0).cost),
     )
     found = _further(fitter, before, [best])
     assert (found is not None and found.evidence == here) if gains else found is None
 
 
 @pytest.mark.parametrize(
-    ("left", "strain", "asked"),
+    ("left", "max_prior_deviation", "asked"),
     [
         (1.5 * LEFT, 1.0, ["backlash", "compliance"]),
         (0.5 * LEFT, 1.0, []),  # no rival will do better
         (0.5 * LEFT, STRAINED + 1.0, ["backlash", "compliance"]),
     ],
 )
-def test_screws_that_bring_nearly_as_much_as_the_best_are_searched_for_again(monkeypatch, left, strain, asked):
+def test_screws_that_bring_nearly_as_much_as_the_best_are_searched_for_again(
+    monkeypatch, left, max_prior_deviation, asked
+):
     """Not one that brings half, nor what a slope leads to."""
     known = []
 
@@ -324,8 +345,8 @@ def test_screws_that_bring_nearly_as_much_as_the_best_are_searched_for_again(mon
     monkeypatch.setattr(search, "searched_again", searched_again)
     base, far = fake_fit(evidence=0.0), fake_fit("friction_dwell", "compliance", evidence=-CLOSE * 1000.0 + 1.0)
     fits = [
-        fake_fit("cogging", evidence=-1000.0, strain=strain), fake_fit("backlash", evidence=-800.0),
-        fake_fit("compliance", evidence=-900.0), far,
+        fake_fit("cogging", evidence=-1000.0, max_prior_deviation=max_prior_deviation),
+        fake_fit("backlash", evidence=-800.0), fake_fit("compliance", evidence=-900.0), far,
     ]  # fmt: skip
     found = _again(None, base, fits, lambda one: left)
     assert sorted(known) == asked

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F401
-from tuning.diagnosis.fits.leftover import SLIGHT, WORTH
+from tuning.diagnosis.fits.goodness_of_fit import SLIGHT, WORTH
 from tuning.diagnosis.selection import explain
 from tuning.diagnosis.selection.explain import Explanation, _Search
 from tuning.diagnosis.selection.search import Round
@@ -17,21 +17,21 @@ def quiet(*_):
 
 def stepwise(monkeypatch, alone):
     """A process, found first, and a vibrating frame beside it; the frame `alone` explains so much."""
-    base, process = fake_fit(evidence=0.0), fake_fit("process_force", evidence=-6000.0)
+    base, process_noise = fake_fit(evidence=0.0), fake_fit("process_force", evidence=-6000.0)
     frame = fake_fit("frame_vibration", evidence=-3000.0)
     both = fake_fit("process_force", "frame_vibration", evidence=-24_000.0)
     rival = fake_fit("process_force", "compliance", evidence=-23_990.0)
-    rounds = [Round(base, [], [process, frame], 2, 0.0), Round(process, [], [both, rival], 2, 50.0)]
+    rounds = [Round(base, [], [process_noise, frame], 2, 0.0), Round(process_noise, [], [both, rival], 2, 50.0)]
     asked = []
 
-    def but_one(fitter, one, index):
+    def drop_effect(fitter, one, index):
         asked.append((one, index))
         if alone is None or index:
             return None
         return fake_fit(names(Round(None, [], [one], 1, 0.0))[0], evidence=alone + (15.0 if one is rival else 0.0))
 
-    monkeypatch.setattr(explain, "but_one", but_one)
-    monkeypatch.setattr(explain, "complete", lambda *_: False)
+    monkeypatch.setattr(explain, "drop_effect", drop_effect)
+    monkeypatch.setattr(explain, "is_complete", lambda *_: False)
     monkeypatch.setattr(explain, "unexplained", lambda *_: 0.001)
     return Explanation(base, rounds, both), asked
 
@@ -71,7 +71,7 @@ def test_what_was_found_last_is_held_against_what_the_others_explain_alone(monke
     found, _ = stepwise(monkeypatch, None)
     found.rounds[0].fits[0].evidence = first
     fewer = fake_fit("process_force", evidence=evidence, coarse=coarse)
-    monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: fewer if index == 1 else None)
+    monkeypatch.setattr(explain, "drop_effect", lambda fitter, one, index: fewer if index == 1 else None)
     other = _Search(None, quiet, 2).spared(found)
     assert other.best is (found.best if kept else fewer)
     assert names(other.rounds[0]) == ["process_force", "frame_vibration"]
@@ -88,8 +88,8 @@ def test_what_was_found_last_is_held_against_what_the_others_explain_alone(monke
 def test_what_was_found_last_need_bring_little_where_a_number_becomes_impossible_without(monkeypatch, evidence, kept):
     found, _ = stepwise(monkeypatch, None)
     found.rounds[1] = found.rounds[1]._replace(allowance=0.0)
-    fewer = fake_fit("process_force", evidence=evidence, strain=9.0)
-    monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: fewer if index == 1 else None)
+    fewer = fake_fit("process_force", evidence=evidence, max_prior_deviation=9.0)
+    monkeypatch.setattr(explain, "drop_effect", lambda fitter, one, index: fewer if index == 1 else None)
     other = _Search(None, quiet, 2).spared(found)
     assert other.best is (found.best if kept else fewer)
     assert all(one.worth_it for one in other.rounds)
@@ -101,7 +101,7 @@ def test_what_brought_less_than_all_before_it_set_nothing_going(monkeypatch, evi
     found, _ = stepwise(monkeypatch, None)
     found.rounds[0].fits[0].evidence = first
     fewer = fake_fit("process_force", evidence=evidence)
-    monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: fewer if index == 1 else None)
+    monkeypatch.setattr(explain, "drop_effect", lambda fitter, one, index: fewer if index == 1 else None)
     assert _Search(None, quiet, 2).spared(found) is found
 
 
@@ -109,33 +109,33 @@ def test_a_rival_that_needs_impossible_numbers_without_what_was_dropped_is_none(
     found, _ = stepwise(monkeypatch, -23_900.0)
     ends = {"frame_vibration": 0.0, "compliance": 9.0}
 
-    def but_one(fitter, one, index):
+    def drop_effect(fitter, one, index):
         name = names(Round(None, [], [one], 1, 0.0))[0]
-        return fake_fit(name, evidence=-23_950.0, strain=ends[name])
+        return fake_fit(name, evidence=-23_950.0, max_prior_deviation=ends[name])
 
-    monkeypatch.setattr(explain, "but_one", but_one)
+    monkeypatch.setattr(explain, "drop_effect", drop_effect)
     (first,) = _Search(None, quiet, 2).spared(found).rounds
     assert names(first) == ["frame_vibration", "process_force"]
 
 
 def test_an_effect_is_not_dropped_where_a_number_becomes_impossible_without(monkeypatch):
     found, _ = stepwise(monkeypatch, None)
-    found.best.u[0] = 5.0
-    fewer = fake_fit("frame_vibration", evidence=-23_900.0, strain=9.0)
-    monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: None if index else fewer)
+    found.best.theta[0] = 5.0
+    fewer = fake_fit("frame_vibration", evidence=-23_900.0, max_prior_deviation=9.0)
+    monkeypatch.setattr(explain, "drop_effect", lambda fitter, one, index: None if index else fewer)
     assert _Search(None, quiet, 2).spared(found) is found
 
 
 def test_where_nothing_is_left_an_effect_need_not_bring_more_than_a_small_one_brings(monkeypatch):
     found, _ = stepwise(monkeypatch, -23_900.0)
-    monkeypatch.setattr(explain, "complete", lambda fitter, one: one is found.best)
+    monkeypatch.setattr(explain, "is_complete", lambda fitter, one: one is found.best)
     assert _Search(None, quiet, 2).spared(found) is found
 
 
 def test_an_effect_that_keeps_a_number_where_it_can_be_is_not_dropped(monkeypatch):
     found, _ = stepwise(monkeypatch, None)
-    fewer = fake_fit("frame_vibration", evidence=-23_900.0, strain=9.0)
-    monkeypatch.setattr(explain, "but_one", lambda fitter, one, index: None if index else fewer)
+    fewer = fake_fit("frame_vibration", evidence=-23_900.0, max_prior_deviation=9.0)
+    monkeypatch.setattr(explain, "drop_effect", lambda fitter, one, index: None if index else fewer)
     assert _Search(None, quiet, 2).spared(found) is found
     fewer.evidence = found.best.evidence + 0.9 * WORTH
     assert _Search(None, quiet, 2).spared(found).best is fewer
@@ -148,11 +148,11 @@ def test_of_three_effects_the_first_is_dropped_and_the_others_stay_in_their_orde
     fewer = {id(chain[1]): fake_fit("backlash", evidence=-1.9e4)}
     fewer[id(chain[2])] = fake_fit("backlash", "lead_error", evidence=-2.99e4)
 
-    def but_one(fitter, one, index):
+    def drop_effect(fitter, one, index):
         return fewer[id(one)] if index == 0 else None
 
-    monkeypatch.setattr(explain, "but_one", but_one)
-    monkeypatch.setattr(explain, "complete", lambda *_: False)
+    monkeypatch.setattr(explain, "drop_effect", drop_effect)
+    monkeypatch.setattr(explain, "is_complete", lambda *_: False)
     monkeypatch.setattr(explain, "unexplained", lambda *_: 0.001)
     other = _Search(None, quiet, 3).spared(Explanation(base, rounds, chain[2]))
     assert [names(one)[0] for one in other.rounds] == ["backlash", "lead_error"]
@@ -171,12 +171,12 @@ def offered(monkeypatch, coupled):
         asked.append([one.name for one in catalogue])
         return Round(before, [], [first] if before is base else [], 1, 0.0)
 
-    monkeypatch.setattr(explain, "look", look)
+    monkeypatch.setattr(explain, "select_next_effect", look)
     monkeypatch.setattr(explain, "_further", lambda *_: None)
-    monkeypatch.setattr(explain, "complete", lambda fitter, one: one is first)
+    monkeypatch.setattr(explain, "is_complete", lambda fitter, one: one is first)
     monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
     search = _Search(None, quiet, 2)
-    found = search.onward(base, [], base, catalogue())
+    found = search.next_trajectory(base, [], base, catalogue())
     return found, asked
 
 

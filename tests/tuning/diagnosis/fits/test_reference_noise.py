@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tuning.diagnosis.fits import trust
+from tuning.diagnosis.fits import reference_noise
 from tuning.diagnosis.fits.fitting import LEAST
 from tuning.diagnosis.judgement import ladder
 
@@ -17,13 +17,15 @@ def lost_with(share, screw=False):
     counts = np.ones((1, SAMPLES))
     model = SimpleNamespace(logged=SimpleNamespace(lanes=SimpleNamespace(counts=counts)), screw=screw)
 
-    def at(_, u, process, course):
+    def at(_, theta, process_noise, trajectory):
         innovation = np.zeros((1, SAMPLES))
-        innovation[0, : round(share(*process) * SAMPLES)] = np.nan if share(*process) == 1.0 else 10.0
-        return SimpleNamespace(track=SimpleNamespace(innovation=innovation, scatter=np.ones((1, SAMPLES)), course=None))
+        innovation[0, : round(share(*process_noise) * SAMPLES)] = np.nan if share(*process_noise) == 1.0 else 10.0
+        return SimpleNamespace(
+            filtered=SimpleNamespace(innovation=innovation, innovation_std=np.ones((1, SAMPLES)), trajectory=None)
+        )
 
-    base = SimpleNamespace(model=model, u=None, track=SimpleNamespace(course=None))
-    base._replace = lambda track: SimpleNamespace(model=model, track=track)
+    base = SimpleNamespace(model=model, theta=None, filtered=SimpleNamespace(trajectory=None))
+    base._replace = lambda filtered: SimpleNamespace(model=model, filtered=filtered)
     return SimpleNamespace(at=at, logged=model.logged), base
 
 
@@ -37,15 +39,15 @@ def lost_with(share, screw=False):
     ],
 )
 def test_a_filter_is_trusted_as_far_as_it_is_not_lost(monkeypatch, share, more):
-    monkeypatch.setattr(trust, "least_trusted", lambda _: np.array([1.0, LEAST]))
-    np.testing.assert_allclose(trust.comparing(*lost_with(share)), [more, LEAST])
+    monkeypatch.setattr(reference_noise, "least_trusted", lambda _: np.array([1.0, LEAST]))
+    np.testing.assert_allclose(reference_noise.reference_process_noise(*lost_with(share)), [more, LEAST])
 
 
 @pytest.mark.parametrize(("screw", "wanted"), [(True, [1.0, 1.0]), (False, [10.0, LEAST])])
 def test_behind_a_screw_a_filter_may_be_told_of_blows(monkeypatch, screw, wanted):
-    monkeypatch.setattr(trust, "least_trusted", lambda _: np.array([1.0, LEAST]))
+    monkeypatch.setattr(reference_noise, "least_trusted", lambda _: np.array([1.0, LEAST]))
     given = lost_with(lambda lasting, sudden: 0.2 if lasting + 10.0 * sudden < 5.0 else 0.0, screw)
-    np.testing.assert_allclose(trust.least_following(*given), wanted)
+    np.testing.assert_allclose(reference_noise.least_following(*given), wanted)
 
 
 @pytest.mark.parametrize(
@@ -62,13 +64,13 @@ def test_behind_a_screw_a_filter_may_be_told_of_blows(monkeypatch, screw, wanted
 def test_a_model_that_is_lost_in_the_others_filter_is_told_by_one_of_its_own(monkeypatch, screw, lost, own, told_with):
     """In that of the recalibrated drive, of 200 N; where none follows it, it is told to be lost."""
 
-    def gap_of(fitter, one, model, u, process):
-        return SimpleNamespace(told=process[0] < 200.0 or not lost)
+    def gap_of(fitter, one, model, theta, process_noise):
+        return SimpleNamespace(told=process_noise[0] < 200.0 or not lost)
 
     monkeypatch.setattr(ladder, "force_gap", gap_of)
     monkeypatch.setattr(ladder, "least_following", lambda *_: None if own is None else np.array([own, LEAST]))
-    gap, process = ladder._told_by(
-        None, SimpleNamespace(model=SimpleNamespace(screw_found=screw), u=None), np.array([200.0, LEAST])
+    gap, process_noise = ladder._told_by(
+        None, SimpleNamespace(model=SimpleNamespace(screw_found=screw), theta=None), np.array([200.0, LEAST])
     )
-    assert process[0] == told_with
+    assert process_noise[0] == told_with
     assert gap.told == (own is not None or not lost)

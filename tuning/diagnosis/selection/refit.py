@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from tuning.diagnosis.fits.fitting import MOST_STEPS, NEAR, Fitted, Fitter, Point
-from tuning.diagnosis.fits.leftover import SLIGHT, WORTH, disbelieved
+from tuning.diagnosis.fits.goodness_of_fit import SLIGHT, WORTH, is_implausible
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.harmonics import at_its_root
@@ -22,32 +22,34 @@ RETURNS = 3  # at most to the drive file's own numbers
 
 def possible(fits: Iterable[Fitted]) -> list[Fitted]:
     """Those of a machine that can be, best first."""
-    kept = [one for one in fits if np.isfinite(one.evidence) and one.model.possible(one.u)]
+    kept = [one for one in fits if np.isfinite(one.evidence) and one.model.possible(one.theta)]
     return sorted(kept, key=lambda one: one.evidence)
 
 
-def on(fitter: Fitter, one: Fitted) -> Fitted:
+def continued(fitter: Fitter, one: Fitted) -> Fitted:
     """The fit gone on with, from where it ended; itself where that leads to no machine that can be."""
-    further = fitter.fit(one.model, one.u, one.process, one.track.course)
+    further = fitter.fit(one.model, one.theta, one.process_noise, one.filtered.trajectory)
     return next(iter(possible([further])), one)
 
 
 def renamed(fitter: Fitter, one: Fitted) -> Fitted:
     """The fit with the wave that was added last told by its own period, where that is no worse."""
     last = one.model.members[-1]
-    values = one.model.values(one.u)[-1]
+    values = one.model.values(one.theta)[-1]
     rooted = at_its_root(last.candidate, values)
     if rooted is values:
         return one
     own = begin(one.model, rooted)
-    again = fitter.fit(one.model, np.r_[one.u[: one.u.size - own.size], own], one.process, one.track.course)
+    again = fitter.fit(
+        one.model, np.r_[one.theta[: one.theta.size - own.size], own], one.process_noise, one.filtered.trajectory
+    )
     return again if again.cost < one.cost + WORTH else one
 
 
 def to_its_end(fitter: Fitter, one: Fitted) -> Fitted:
     """A fit, however few steps it was given, where no more of them gain."""
     for _ in range(1 + LONGER):
-        further = on(fitter, one)
+        further = continued(fitter, one)
         if further is one or further.steps < MOST_STEPS:
             return further
         one = further
@@ -61,29 +63,29 @@ def simpler(fitter: Fitter, before: Fitted, fits: Iterable[Fitted], kinds: Itera
     best = next(iter(possible(fits)), None)
     if best is None:
         return []
-    last, values = best.model.members[-1].candidate, best.model.values(best.u)[-1]
+    last, values = best.model.members[-1].candidate, best.model.values(best.theta)[-1]
     found = []
     for kind in kinds:
         if {one.name for one in kind.parameters} < {one.name for one in last.parameters}:
             known = {one.name: values[one.name] for one in kind.parameters}
             model = joined(before.model, kind, known)
-            u = np.r_[best.u[: before.u.size], begin(model, known)]
-            found.append(fitter.fit(model, u, best.process, best.track.course))
+            theta = np.r_[best.theta[: before.theta.size], begin(model, known)]
+            found.append(fitter.fit(model, theta, best.process_noise, best.filtered.trajectory))
     return found
 
 
-def but_one(fitter: Fitter, one: Fitted, index: int) -> Fitted | None:
+def drop_effect(fitter: Fitter, one: Fitted, index: int) -> Fitted | None:
     """The fit without one of the effects that were added, from where it ended; None where that is no machine."""
     member = len(one.model.members) - one.model.added + index
     members = (*one.model.members[:member], *one.model.members[member + 1 :])
     model = dataclasses.replace(one.model, members=members)
-    fewer = fitter.fit(model, one.u[~one.model.of_member(member)], one.process, one.track.course)
+    fewer = fitter.fit(model, one.theta[~one.model.of_member(member)], one.process_noise, one.filtered.trajectory)
     return next(iter(possible([to_its_end(fitter, fewer)])), None)
 
 
 def at_nominal(fitter: Fitter, one: Fitted) -> Fitted | None:
     """The same hypothesis with the nominal parameters as the drive file has them; None where no filter can run it."""
-    found = fitter.fit(one.model, _nominal(one), None, one.track.course, most=0)
+    found = fitter.fit(one.model, _nominal(one), None, one.filtered.trajectory, most=0)
     return found if np.isfinite(found.evidence) else None
 
 
@@ -92,7 +94,7 @@ def allowance(one: Fitted, nominal: Fitted | Point) -> float:
     return SLIGHT * max(nominal.cost - one.cost, 0.0)
 
 
-def brought_back(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
+def refit_from_nominal(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
     """The fit begun again from the drive file's own numbers, and what of it has to be searched for from there.
 
     A valley that leads far off may begin beside the effects as they were found first, not as they are now; a gap that
@@ -103,14 +105,18 @@ def brought_back(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
     nominal = _begun(fitter, one)
     if nominal is None:
         return one
-    effects = np.r_[np.zeros(len(NAMES)), np.ones(one.u.size - len(NAMES))]
-    told = fitter.sought(one.model, nominal.u, nominal.process, nominal.track.course, OWN, effects)[0]
+    effects = np.r_[np.zeros(len(NAMES)), np.ones(one.theta.size - len(NAMES))]
+    told = fitter.minimise(one.model, nominal.theta, nominal.process_noise, nominal.filtered.trajectory, OWN, effects)[
+        0
+    ]
     most = one.evidence + allowance(one, told)
     last = np.inf
     for _ in range(RETURNS):
-        ended = to_its_end(fitter, fitter.fit(one.model, nominal.u, nominal.process, nominal.track.course))
+        ended = to_its_end(
+            fitter, fitter.fit(one.model, nominal.theta, nominal.process_noise, nominal.filtered.trajectory)
+        )
         ends = possible([ended, searched_again(fitter, base, ended)])  # the other may lead off once more
-        taken = next((end for end in ends if end.evidence <= most and disbelieved(one, end)), None)
+        taken = next((end for end in ends if end.evidence <= most and is_implausible(one, end)), None)
         if taken is not None:
             return taken
         if not ends or last - ends[0].evidence < WORTH:
@@ -123,12 +129,12 @@ def brought_back(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
 
 def _nominal(one: Fitted) -> Vector:
     """The values of a fit with the drive file's own nominal parameters."""
-    return np.r_[np.zeros(len(NAMES)), one.u[len(NAMES) :]]
+    return np.r_[np.zeros(len(NAMES)), one.theta[len(NAMES) :]]
 
 
 def _begun(fitter: Fitter, one: Fitted) -> Point | None:
     """Where a fit with the drive file's own nominal parameters begins; None where no filter can run it."""
-    found = fitter.sought(one.model, _nominal(one), None, one.track.course, 0)[0]
+    found = fitter.minimise(one.model, _nominal(one), None, one.filtered.trajectory, 0)[0]
     return found if np.isfinite(found.cost) else None
 
 
@@ -148,15 +154,15 @@ def searched_again(fitter: Fitter, before: Fitted, one: Fitted) -> Fitted:
         return one
     its = one.model.of_member(index)
     for seed in range(1, 1 + SEARCHES):
-        u = one.u.copy()
-        values, processes = evolved_once(fitter.store, before, one.model, index, u, seed)
-        u[its] = begin(one.model, values, index)
+        theta = one.theta.copy()
+        values, processes = evolved_once(fitter.store, before, one.model, index, theta, seed)
+        theta[its] = begin(one.model, values, index)
         there = fitter.with_process(
-            fitter.at(one.model, u, one.process, one.track.course),
+            fitter.at(one.model, theta, one.process_noise, one.filtered.trajectory),
             one.model,
-            np.vstack([one.process * NEAR, processes * NEAR]),
+            np.vstack([one.process_noise * NEAR, processes * NEAR]),
         )
-        other = likelier(one, fitter.fit(one.model, there.u, there.process, there.track.course))
+        other = likelier(one, fitter.fit(one.model, there.theta, there.process_noise, there.filtered.trajectory))
         if one.evidence - other.evidence < WORTH:
             return other
         one = other
@@ -168,13 +174,13 @@ def likelier(one: Fitted, other: Fitted) -> Fitted:
     return min(possible([one, other]), key=lambda fit: fit.evidence, default=one)
 
 
-def led_on(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
+def refit_rivals(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
     """The fits that can be, best first, the best at its end: what it has not yet explained, others would seem to."""
     fits = possible(fits)
     for _ in range(LONGER):
         if not fits or fits[0].steps < MOST_STEPS:
             break
-        further = on(fitter, fits[0])
+        further = continued(fitter, fits[0])
         if further is fits[0]:
             break
         fits = possible([further, *fits[1:]])

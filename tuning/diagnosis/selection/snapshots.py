@@ -8,9 +8,9 @@ wherever the force changes: no effect of a machine explains that.
 A loop answers the noise of its encoder. What it answered at the row's own instant is logged; whether it answers so
 until the next row depends on how it measures its velocity. So the cubic goes through the commands without that noise
 (`command_noise`) or with it, whichever has the drive file's drive follow the logs more likely. What is in no row is a
-force of each row its own, as large as the likelihood has it, and no effect's: `leftover.lacking` allows it. The
-instant of a row is known to a sample of its loop: recalibration moves it (`calibration.DELAY`), so that no effect is
-found that is but that.
+force of each row its own, as large as the likelihood has it, and no effect's: `goodness_of_fit.missing_evidence` allows
+it. The instant of a row is known to a sample of its loop: recalibration moves it (`calibration.DELAY`), so that no
+effect is found that is but that.
 """
 
 import jax
@@ -22,7 +22,7 @@ from diffdrive.model.parameters import Sampling
 from tuning.diagnosis.fits.fitting import BEGIN, Fitter
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.model import Logged, Model
-from tuning.diagnosis.selection.search import standing
+from tuning.diagnosis.selection.search import initial_trajectory
 from tuning.identification.row_force import AT_ONCE, NODES, BetweenRows, smooth
 from tuning.identification.snapshots import as_read
 
@@ -37,7 +37,7 @@ def likeliest_snapshots(logged: Logged, loop_samples: int) -> Logged:
 def _cost(logged: Logged) -> float:
     """Of the drive file's drive, under the likeliest forces that it may lack."""
     fitter, model = Fitter(logged), Model(logged)
-    point = fitter.at(model, np.zeros(len(NAMES)), BEGIN, standing(logged))
+    point = fitter.at(model, np.zeros(len(NAMES)), BEGIN, initial_trajectory(logged))
     return fitter.with_process(point, model, fitter.first).cost
 
 

@@ -1,11 +1,7 @@
-"""A drive with effects follows its logs: an extended Kalman filter, and its derivative with respect to everything.
+"""A drive with effects follows its logs: an extended Kalman filter.
 
-Most effects are a signal like any other (`exposure`). Those that act by the table's velocity and friction, and these by
-them, are stepped within the filter (`coupled`). The innovations answer small changes linearly,
-
-    e = e0 + d e / d b  b + d e / d (exposure)  d exposure ,
-
-and that answer is a linear recursion along the log (`answers`), cheap enough for a hundred directions at once.
+Most effects are a signal like any other (`effect_signals`). Those that act by the table's velocity and friction, and
+these by them, are stepped within the filter (`coupled`). How the innovations answer small changes: `derivatives`.
 """
 
 import dataclasses
@@ -29,54 +25,54 @@ from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.once import once
 from diffdrive.observers.kalman import diagonal, kalman_gain, predict_covariance, update_covariance
-from tuning.diagnosis.filter import hidden
-from tuning.diagnosis.filter.exposure import Course, Exposure
+from tuning.diagnosis.filter import motor_state
+from tuning.diagnosis.filter.effect_signals import EffectSignals, Trajectory
 from tuning.diagnosis.filter.segments import segments
 from tuning.identification.prediction import Lanes, initial_state, initial_velocity
 
 UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
-LASTING = 0.02  # s, that a missing force lasts
+DISTURBANCE_TIME = 0.02  # s, that a missing force lasts
 LOST = 6.0  # scatters; a filter that is so far off begins again from the measurement
-FOUND = 1e-5  # m, standard deviation of the position when it does
+RESTART_STD = 1e-5  # m, standard deviation of the position when it does
 QUIETEST = 1e-6  # the square of the scale of all noises, at least: a log that never changes shows no noise at all
 BATCH = 512  # samples that are differentiated at once
 
 
-class Process(NamedTuple):
-    """How large a force the model is trusted to lack: one that lasts `LASTING` s, and a white one."""
+class ProcessNoise(NamedTuple):
+    """How large a force the model is trusted to lack: one that lasts `DISTURBANCE_TIME` s, and a white one."""
 
-    lasting: Scalar  # N, standard deviation
-    white: Scalar  # N, standard deviation of one value per period
+    ar1_std: Scalar  # N, standard deviation
+    white_std: Scalar  # N, standard deviation of one value per period
 
 
-class Track(NamedTuple):
+class EkfResult(NamedTuple):
     """What the filter saw, [lanes, n] each: the table after each correction."""
 
-    course: Course
+    trajectory: Trajectory
     innovation: Float[Array, "lanes n"]  # m
-    scatter: Float[Array, "lanes n"]  # m, standard deviation expected of it
-    pull: tuple[Float[Array, "lanes n"], ...]  # gains of position, velocity, bristle and lacking force
+    innovation_std: Float[Array, "lanes n"]  # m, standard deviation expected of it
+    kalman_gain: tuple[Float[Array, "lanes n"], ...]  # gains of position, velocity, bristle and lacking force
     deviance: Float[Array, ""]  # -2 log likelihood up to a constant, the scale of all noises free
-    size: Float[Array, ""]  # that scale, squared
-    motor: Float[Array, "lanes n"] | None = None  # m, its deflection against the table, where a screw hides it
+    noise_scale_sq: Float[Array, ""]
+    motor_deflection: Float[Array, "lanes n"] | None = None  # m, against the table, behind a screw
 
     @property
-    def lacking(self) -> Float[Array, "lanes n"]:
+    def disturbance(self) -> Float[Array, "lanes n"]:
         """Force that the model lacks (N)."""
-        return self.course.lacking
+        return self.trajectory.disturbance
 
 
-def per_innovation(track: Track, drive: Drive, rate: float) -> Float[np.ndarray, "lanes n"]:
+def force_per_innovation(filtered: EkfResult, drive: Drive, rate: float) -> Float[np.ndarray, "lanes n"]:
     """The sudden force (N) that the filter invents per metre of each innovation."""
-    return float(drive.plant.mass) * rate * np.asarray(track.pull[1])
+    return float(drive.plant.mass) * rate * np.asarray(filtered.kalman_gain[1])
 
 
-class Slopes(NamedTuple):
+class StepJacobians(NamedTuple):
     """Derivatives of the table after one period: [lanes, n, 3, directions]."""
 
     state: Float[Array, "lanes n 3 2"]  # with respect to velocity and bristle
     machine: Float[Array, "lanes n 3 p"]  # to the numbers of plant and friction, in the order of `numbers`
-    exposure: Float[Array, "lanes n 3 4"]  # to force, Coulomb friction, gap and viscous friction
+    signals: Float[Array, "lanes n 3 4"]  # to force, Coulomb friction, gap and viscous friction
 
 
 def numbers(drive: Drive) -> Float[Array, " p"]:
@@ -92,16 +88,16 @@ def with_numbers(drive: Drive, values: Float[Array, " p"]) -> Drive:
 
 def _begun(
     drive: Drive,
-    under: Exposure,
+    under: EffectSignals,
     coupled: tuple[Effect, ...],
-    course: Course,
+    trajectory: Trajectory,
     load: Float[Array, " n"],
     begins: Int[np.ndarray, " s"],
     period: float,
 ) -> tuple[PyTree, ...]:
     """States, [s] each, of a lane's coupled effects at the samples where its segments begin.
 
-    What forgets within a segment's lead begins at rest; the others are where following `course` brings them.
+    What forgets within a segment's lead begins at rest; the others are where following `trajectory` brings them.
     """
     rest = stages.initial_states(coupled, under.force[0])
 
@@ -115,8 +111,11 @@ def _begun(
         return tuple(ahead), states
 
     lasting = tuple(effect for effect in coupled if isinstance(effect, TableEffect) and effect.has_memory)
-    count, travel = jnp.arange(len(load), dtype=load.dtype), jnp.diff(course.position, append=course.position[-1:])
-    along = lax.scan(step, stages.initial_states(lasting, under.force[0]), (count, under, load, course, travel))[1]
+    count, travel = (
+        jnp.arange(len(load), dtype=load.dtype),
+        jnp.diff(trajectory.position, append=trajectory.position[-1:]),
+    )
+    along = lax.scan(step, stages.initial_states(lasting, under.force[0]), (count, under, load, trajectory, travel))[1]
     found = iter(jax.tree.map(lambda leaf: leaf[begins], along))
     return tuple(
         next(found) if effect in lasting else jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, state)
@@ -124,78 +123,88 @@ def _begun(
     )
 
 
-def follow(
+def run_filter(
     drive: Drive,
-    under: Exposure,
+    under: EffectSignals,
     coupled: tuple[Effect, ...],
-    process: Process,
+    process_noise: ProcessNoise,
     noise: Scalar,
     lanes: Lanes,
     sampling: Sampling,
-    course: Course | None = None,
-) -> Track:
+    trajectory: Trajectory | None = None,
+) -> EkfResult:
     """Filter each lane; `coupled` are effects on the table, `noise` (m) is the measurement's standard deviation.
 
-    `course` is that of an earlier pass: what effects that remember begin each segment with. Without it they begin
+    `trajectory` is that of an earlier pass: what effects that remember begin each segment with. Without it they begin
     at rest.
 
     A white force alone would do while the table slides; where it sticks, the filter would blame its bristle for what
     the model lacks, and may then lock on to a motion in the wrong direction.
     """
-    fade = float(np.exp(-sampling.period / LASTING))
-    fresh = process.lasting**2 * (1.0 - fade**2)
-    jolt = (process.white * sampling.period / drive.plant.mass) ** 2
+    ar1_coeff = float(np.exp(-sampling.period / DISTURBANCE_TIME))
+    ar1_variance = process_noise.ar1_std**2 * (1.0 - ar1_coeff**2)
+    velocity_noise_var = (process_noise.white_std * sampling.period / drive.plant.mass) ** 2
     measured_variance = noise**2
     level = coulomb(drive.friction, 1.0, 0.0)
     loose = 0.5 * level / drive.friction.bristle_stiffness.positive  # how far the bristle may be off
-    beside = (jnp.asarray(UNKNOWN_VELOCITY) ** 2, loose**2, process.lasting**2)  # of all but the position
-    shielded = hidden.screw_of(coupled) is not None
+    beside = (jnp.asarray(UNKNOWN_VELOCITY) ** 2, loose**2, process_noise.ar1_std**2)  # of all but the position
+    shielded = motor_state.screw_of(coupled) is not None
 
     def body(carry: PyTree, at: PyTree) -> tuple[PyTree, PyTree]:
         (state, covariance, effects), (measured, load, acts, time, coupled, again) = carry, at
         innovation = measured - acts.scale - state[0]
-        scatter = jnp.sqrt(covariance[0][0] + measured_variance)
-        lost = jnp.abs(innovation) > LOST * scatter
+        innovation_std = jnp.sqrt(covariance[0][0] + measured_variance)
+        lost = jnp.abs(innovation) > LOST * innovation_std
         motor: Sequence[Scalar]
-        motor = hidden.regained(coupled, hidden.read(coupled, effects), lost, drive, acts.force - acts.beside)
+        motor = motor_state.regained(coupled, motor_state.read(coupled, effects), lost, drive, acts.force - acts.beside)
         state = (*state, *motor)
         covariance = tuple(
             tuple(jnp.where(lost, new, old) for new, old in zip(*rows, strict=True))
             for rows in zip(again, covariance, strict=True)
         )
-        pull = kalman_gain(covariance, measured_variance)
-        state = tuple(value + k * innovation for value, k in zip(state, pull, strict=True))
-        covariance = update_covariance(covariance, pull, measured_variance)
+        gain = kalman_gain(covariance, measured_variance)
+        state = tuple(value + k * innovation for value, k in zip(state, gain, strict=True))
+        covariance = update_covariance(covariance, gain, measured_variance)
         state, covariance = once((state, covariance))
-        position, velocity, deflection, lacking, *motor = state
-        effects = hidden.written(coupled, effects, tuple(motor))
+        position, velocity, deflection, disturbance, *motor = state
+        effects = motor_state.written(coupled, effects, tuple(motor))
         machine = stages.with_friction_offset(drive, acts)
         resisting = cast(Array, stages.resistance(machine, velocity, deflection, load))  # of the scan's carry
-        now = Course(position, velocity, deflection, resisting, lacking)
+        now = Trajectory(position, velocity, deflection, resisting, disturbance)
         answers: tuple[Sensitivity, ...] = ()
         if coupled:
             seen = acts.seen(time, now, load)
-            effects, more, answers = hidden.stepped(coupled, effects, seen, machine, sampling.period)
+            effects, more, answers = motor_state.stepped(coupled, effects, seen, machine, sampling.period)
             both = (a + b for a, b in zip(acts, more, strict=False))
-            acts = Exposure._make((*both, acts.scale, acts.beside, None if shielded else acts.ripple))
+            acts = EffectSignals._make((*both, acts.scale, acts.beside, None if shielded else acts.ripple))
             machine = stages.with_friction_offset(drive, acts)
 
         nil = jnp.zeros_like(velocity)
-        ways = hidden.ways(nil, answers)
-        table, force = plant.PlantState(nil, velocity, deflection), acts.force + lacking
+        ways = motor_state.ways(nil, answers)
+        table, force = plant.PlantState(nil, velocity, deflection), acts.force + disturbance
         step = (sampling.period, sampling.plant_steps)
         moved, columns = plant.advance_with_tangents(machine, table, force, load, *step, ways, acts.ripple)
-        rows = hidden.transition(columns, answers, fade)
-        ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, fade * lacking)
-        covariance = predict_covariance(covariance, rows, (0.0, jolt, 0.0, fresh, *hidden.jolted(coupled, jolt)))
-        return (ahead, covariance, effects), (now, innovation, scatter, pull[: len(ahead)], motor[0] if motor else None)
+        rows = motor_state.transition(columns, answers, ar1_coeff)
+        ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, ar1_coeff * disturbance)
+        covariance = predict_covariance(
+            covariance,
+            rows,
+            (0.0, velocity_noise_var, 0.0, ar1_variance, *motor_state.velocity_noise_vars(coupled, velocity_noise_var)),
+        )
+        return (ahead, covariance, effects), (
+            now,
+            innovation,
+            innovation_std,
+            gain[: len(ahead)],
+            motor[0] if motor else None,
+        )
 
     pieces = segments(lanes.position.shape[1], sampling.rate)
     time = jnp.asarray(pieces.samples * sampling.period)
 
     def segment(
         lane: Lanes,
-        acts: Exposure,
+        acts: EffectSignals,
         time: Float[Array, " m"],
         effects: tuple[PyTree, ...],
         coupled: tuple[Effect, ...],
@@ -203,8 +212,8 @@ def follow(
         table = initial_state(drive, lane)
         begin = (table.position - acts.scale[0], table.velocity, table.bristle, jnp.zeros(()))
         usual = jnp.sqrt(jnp.mean((acts.force - acts.beside) ** 2))
-        spread = (*beside, *hidden.unknown(coupled, drive, usual))
-        again = diagonal((jnp.asarray(FOUND) ** 2, *spread))
+        spread = (*beside, *motor_state.unknown(coupled, drive, usual))
+        again = diagonal((jnp.asarray(RESTART_STD) ** 2, *spread))
 
         def step(carry: PyTree, at: PyTree) -> tuple[PyTree, PyTree]:
             return body(carry, (*at, coupled, again))
@@ -212,14 +221,16 @@ def follow(
         along = (lane.position, lane.load, acts._replace(ripple=_in_substeps(acts, sampling)), time)
         return lax.scan(step, (begin, diagonal((measured_variance, *spread)), effects), along)[1]
 
-    def begun(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], course: Course | None) -> tuple[PyTree, ...]:
+    def begun(
+        lane: Lanes, acts: EffectSignals, coupled: tuple[Effect, ...], trajectory: Trajectory | None
+    ) -> tuple[PyTree, ...]:
         begins = pieces.samples[:, 0]
-        if course is None:
+        if trajectory is None:
             rest = stages.initial_states(coupled, acts.force[0])
             return jax.tree.map(lambda leaf: jnp.zeros(len(begins)) + leaf, rest)
-        return _begun(drive, acts, coupled, course, lane.load, begins, sampling.period)
+        return _begun(drive, acts, coupled, trajectory, lane.load, begins, sampling.period)
 
-    def one(lane: Lanes, acts: Exposure, coupled: tuple[Effect, ...], states: tuple[PyTree, ...]) -> PyTree:
+    def one(lane: Lanes, acts: EffectSignals, coupled: tuple[Effect, ...], states: tuple[PyTree, ...]) -> PyTree:
         signals = lane._replace(velocity=None)  # type: ignore[arg-type]  # None is no leaf: it has no samples to cut
         cut = jax.tree.map(pieces.cut, signals)
         velocity = initial_velocity(cut.position, sampling.rate).at[0].set(lane.velocity)
@@ -227,35 +238,41 @@ def follow(
         found = jax.vmap(segment, (0, 0, 0, 0, None))(*beside, coupled)
         return jax.tree.map(pieces.joined, found)
 
-    states = jax.vmap(begun)(lanes, under, coupled, course)  # side by side: one after the other takes as long for each
+    states = jax.vmap(begun)(
+        lanes, under, coupled, trajectory
+    )  # side by side: one after the other takes as long for each
     found = lax.map(lambda each: one(*each), (lanes, under, coupled, states))
-    course, innovation, scatter, pull, motor = found
-    return Track(course, innovation, scatter, pull, *deviance_of(innovation, scatter, lanes.counts), motor)
+    trajectory, innovation, innovation_std, gain, motor = found
+    return EkfResult(
+        trajectory, innovation, innovation_std, gain, *deviance_of(innovation, innovation_std, lanes.counts), motor
+    )
 
 
-followed = eqx.filter_jit(follow)  # traced once for all programs that call this
+compiled_filter = eqx.filter_jit(run_filter)  # traced once for all programs that call this
 
 
-def _in_substeps(acts: Exposure, sampling: Sampling) -> Float[Array, "*lanes n substeps"] | None:
+def _in_substeps(acts: EffectSignals, sampling: Sampling) -> Float[Array, "*lanes n substeps"] | None:
     """The ripple of each substep of each sample."""
     if acts.ripple is None:
         return None
     return jnp.repeat(acts.ripple, sampling.plant_steps // acts.ripple.shape[-1], axis=-1)
 
 
-def deviance_of(innovation: Array, scatter: Array, counts: Array) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def deviance_of(innovation: Array, innovation_std: Array, counts: Array) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """-2 log likelihood up to a constant, and the square of the scale of all noises, which is free."""
-    squares = jnp.minimum((innovation / scatter) ** 2, LOST**2)  # how far a lost filter was off says no more
+    squares = jnp.minimum((innovation / innovation_std) ** 2, LOST**2)  # how far a lost filter was off says no more
     size = jnp.maximum(jnp.sum(counts * squares) / jnp.sum(counts), QUIETEST)
-    return jnp.sum(counts) * jnp.log(size) + 2.0 * jnp.sum(counts * jnp.log(scatter)), size
+    return jnp.sum(counts) * jnp.log(size) + 2.0 * jnp.sum(counts * jnp.log(innovation_std)), size
 
 
-def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: Sampling) -> Slopes:
-    """Derivatives of every period, at the track, with respect to the state, the machine, and the exposure."""
+def step_jacobians_along(
+    drive: Drive, under: EffectSignals, filtered: EkfResult, lanes: Lanes, sampling: Sampling
+) -> StepJacobians:
+    """Derivatives of every period along what was filtered, by the state, the machine and the effects' signals."""
 
     def period(args: PyTree, load: Scalar, ripple: Float[Array, " substeps"] | None) -> Float[Array, " 3"]:
         v, z, machine, force, coulomb, gap, viscous = args
-        acts = Exposure(force, coulomb, gap, viscous, *(jnp.zeros(()) for _ in range(3)))
+        acts = EffectSignals(force, coulomb, gap, viscous, *(jnp.zeros(()) for _ in range(3)))
         table = plant.PlantState(jnp.zeros_like(v), v, z)
         bent = stages.with_friction_offset(with_numbers(drive, machine), acts)
         return jnp.stack(plant.advance(bent, table, force, load, sampling.period, sampling.plant_steps, ripple))
@@ -269,26 +286,39 @@ def slopes(drive: Drive, under: Exposure, track: Track, lanes: Lanes, sampling: 
         )
         return jac
 
-    force = under.force + track.lacking
-    course, ripple = track.course, _in_substeps(under, sampling)
-    samples = (course.velocity, course.bristle, force, under.coulomb, under.gap, under.viscous, lanes.load, ripple)
-    shape = track.lacking.shape
+    force = under.force + filtered.disturbance
+    trajectory, ripple = filtered.trajectory, _in_substeps(under, sampling)
+    samples = (
+        trajectory.velocity,
+        trajectory.bristle,
+        force,
+        under.coulomb,
+        under.gap,
+        under.viscous,
+        lanes.load,
+        ripple,
+    )
+    shape = filtered.disturbance.shape
     flat = jax.tree.map(lambda one: one.reshape(-1, *one.shape[2:]), samples)
     jac = lax.map(at, flat, batch_size=BATCH)
     jac = jac.reshape(*shape, 3, -1)
-    return Slopes(jac[..., :2], jac[..., 2:-4], jac[..., -4:])
+    return StepJacobians(jac[..., :2], jac[..., 2:-4], jac[..., -4:])
 
 
-def answers(
-    track: Track, linear: Slopes, forcing: Float[Array, "lanes n 3 m"], scale: Float[Array, "lanes n m"], period: float
+def innovations_of_forcings(
+    filtered: EkfResult,
+    step_jacobians: StepJacobians,
+    forcing: Float[Array, "lanes n 3 m"],
+    scale: Float[Array, "lanes n m"],
+    period: float,
 ) -> Float[Array, "lanes n m"]:
     """Change of the innovations over their scatter, [lanes, n, m], for forcings of the table ([lanes, n, 3, m] after
     each period) and errors of the scale ([lanes, n, m]).
     """
-    fade = float(np.exp(-period / LASTING))
+    ar1_coeff = float(np.exp(-period / DISTURBANCE_TIME))
 
     def one(args: PyTree) -> Float[Array, "n m"]:
-        pull, scatter, state, push, forced, off = args
+        gain, innovation_std, state, push, forced, off = args
 
         def body(carry: PyTree, at: PyTree) -> tuple[PyTree, Float[Array, " m"]]:
             x, v, z, f = carry
@@ -296,11 +326,21 @@ def answers(
             e = -(x + shift)
             x, v, z, f = x + kx * e, v + kv * e, z + kz * e, f + kf * e
             ahead = [(x if row == 0 else 0.0) + a[row, 0] * v + a[row, 1] * z + p[row] * f + d[row] for row in range(3)]
-            return (*ahead, fade * f), e / s
+            return (*ahead, ar1_coeff * f), e / s
 
         m = forced.shape[-1]
         # the filter begins where the first sample was measured
         begin = (-off[0], *(jnp.zeros(m) for _ in range(3)))
-        return lax.scan(body, begin, (pull, scatter, state, push, forced, off))[1]
+        return lax.scan(body, begin, (gain, innovation_std, state, push, forced, off))[1]
 
-    return lax.map(one, (track.pull, track.scatter, linear.state, linear.exposure[..., 0], forcing, scale))
+    return lax.map(
+        one,
+        (
+            filtered.kalman_gain,
+            filtered.innovation_std,
+            step_jacobians.state,
+            step_jacobians.signals[..., 0],
+            forcing,
+            scale,
+        ),
+    )

@@ -41,10 +41,10 @@ def unknown(effects: Effects, drive: Drive, force: Scalar) -> tuple[Scalar, ...]
     return (_transmission(effects, which).screw.lost_motion(drive, force) ** 2, jnp.asarray(UNKNOWN_RATE) ** 2)
 
 
-def jolted(effects: Effects, jolt: Scalar) -> tuple[Scalar, ...]:
-    """What a force that shakes the table by a variance `jolt` of its velocity adds, acting on the motor, to those."""
+def velocity_noise_vars(effects: Effects, velocity_noise_var: Scalar) -> tuple[Scalar, ...]:
+    """What a force that gives the table's velocity this variance adds, acting on the motor, to the motor's own."""
     which = screw_of(effects)
-    return () if which is None else (0.0, jolt / _transmission(effects, which).screw.motor_share ** 2)
+    return () if which is None else (0.0, velocity_noise_var / _transmission(effects, which).screw.motor_share ** 2)
 
 
 def read(effects: Effects, states: States) -> tuple[Scalar, ...]:
@@ -99,10 +99,10 @@ def ways(nil: Scalar, answers: tuple[Sensitivity, ...]) -> list[tuple[plant.Plan
     return table + [(still, force) for force in by_motor]
 
 
-def transition(columns: list[plant.PlantState], answers: tuple[Sensitivity, ...], fade: float) -> Matrix:
+def transition(columns: list[plant.PlantState], answers: tuple[Sensitivity, ...], ar1_coeff: float) -> Matrix:
     """The transition of position, velocity, bristle, lacking force and, where one is hidden, the motor."""
     if not answers:
-        return (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade))
+        return (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, ar1_coeff))
     shifts = [answer.shift for answer in answers]
     shifts.insert(2, 0.0)  # of the lacking force, which the motor does not see
     columns = [one._replace(position=one.position + more) for one, more in zip(columns, shifts, strict=True)]
@@ -111,4 +111,4 @@ def transition(columns: list[plant.PlantState], answers: tuple[Sensitivity, ...]
         (0.0, getattr(velocity, name), getattr(bristle, name), 0.0, getattr(deflection, name), getattr(rate, name))
         for name in ("deflection", "rate")
     ]
-    return (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, fade, 0.0, 0.0), *motor)
+    return (*zip((1.0, 0.0, 0.0), *columns, strict=True), (0.0, 0.0, 0.0, ar1_coeff, 0.0, 0.0), *motor)

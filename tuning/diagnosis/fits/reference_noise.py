@@ -6,11 +6,11 @@ A lost filter begins again from the measurement, time after time, and sees no fo
 import numpy as np
 from jaxtyping import Float
 
-from tuning.diagnosis.filter.following import LOST, Track
+from tuning.diagnosis.filter.ekf import LOST, EkfResult
 from tuning.diagnosis.fits.fitting import Fitted, Fitter
 from tuning.diagnosis.hypotheses.setting import setting
 
-Forces = Float[np.ndarray, " 2"]  # N, as in `Process`
+Forces = Float[np.ndarray, " 2"]  # N, as in `ProcessNoise`
 
 TRUSTED = 0.02  # of the Coulomb friction: the force that the comparing filter takes every model to lack
 MORE = (1.0, 10.0, 100.0, 1000.0)  # times that, where the filter is lost with less
@@ -19,23 +19,23 @@ SELDOM = 0.01  # of the samples, at which it may be lost
 
 def lost_samples(fitted: Fitted) -> int:
     """At how many samples the filter was lost."""
-    return _lost(fitted.track, np.asarray(fitted.model.logged.lanes.counts))
+    return _lost(fitted.filtered, np.asarray(fitted.model.logged.lanes.counts))
 
 
-def _lost(track: Track, counts: Float[np.ndarray, "lanes n"]) -> int:
-    ratio = np.abs(np.asarray(track.innovation) / np.asarray(track.scatter))
+def _lost(filtered: EkfResult, counts: Float[np.ndarray, "lanes n"]) -> int:
+    ratio = np.abs(np.asarray(filtered.innovation) / np.asarray(filtered.innovation_std))
     return int(np.sum(~(ratio <= LOST) & (counts > 0.0)))  # one that ran away is
 
 
-def share_lost(track: Track, counts: Float[np.ndarray, "lanes n"]) -> float:
+def share_lost(filtered: EkfResult, counts: Float[np.ndarray, "lanes n"]) -> float:
     """At what share of the samples that count the filter was lost."""
-    return _lost(track, counts) / max(float(np.sum(counts)), 1.0)
+    return _lost(filtered, counts) / max(float(np.sum(counts)), 1.0)
 
 
-def lost_share(fitter: Fitter, fitted: Fitted, process: Forces) -> float:
+def lost_share(fitter: Fitter, fitted: Fitted, process_noise: Forces) -> float:
     """At what share of the samples it is lost with these process forces (N)."""
-    track = fitter.at(fitted.model, fitted.u, process, fitted.track.course).track
-    return share_lost(track, np.asarray(fitter.logged.lanes.counts))
+    filtered = fitter.at(fitted.model, fitted.theta, process_noise, fitted.filtered.trajectory).filtered
+    return share_lost(filtered, np.asarray(fitter.logged.lanes.counts))
 
 
 def least_trusted(fitter: Fitter) -> Forces:
@@ -55,7 +55,7 @@ def least_following(fitter: Fitter, fitted: Fitted) -> Forces | None:
     return next((one for one in tried if lost_share(fitter, fitted, one) <= SELDOM), None)
 
 
-def comparing(fitter: Fitter, base: Fitted) -> Forces:
+def reference_process_noise(fitter: Fitter, base: Fitted) -> Forces:
     """The process forces (N) of the filter that compares models: those with which it follows `base`, or the least."""
     found = least_following(fitter, base)
     return least_trusted(fitter) if found is None else found

@@ -10,10 +10,10 @@ from tests.support.known_machine import GAINS, MACHINE
 from tests.support.slow_trace import every
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fits.fitting import Fitter
-from tuning.diagnosis.fits.leftover import lacking
+from tuning.diagnosis.fits.goodness_of_fit import missing_evidence
 from tuning.diagnosis.hypotheses.calibration import DELAY, NAMES, TOLERANCE
-from tuning.diagnosis.selection.reading import as_snapshots, within_rows
 from tuning.diagnosis.selection.search import recalibrated
+from tuning.diagnosis.selection.snapshots import as_snapshots, within_rows
 
 RATE, SAMPLES = 4_000.0, 4
 
@@ -58,7 +58,7 @@ def test_a_sound_machine_seems_to_lack_a_force_in_rows_that_are_read_as_held(log
     for samples in (1, SAMPLES):
         fitter = Fitter(logged_of(MACHINE, [rows], samples))
         base = recalibrated(fitter, TOLERANCE)
-        missing.append(lacking(fitter, base))
+        missing.append(missing_evidence(fitter, base))
     assert missing[1] < 0.2 * missing[0]
 
 
@@ -66,5 +66,5 @@ def test_a_sound_machine_seems_to_lack_a_force_in_rows_that_are_read_as_held(log
 def test_the_instant_of_the_rows_is_recalibrated(log):
     """Of a loop that is told wrong, five samples to a row in the place of four, it is a fortieth of a row late."""
     base = recalibrated(Fitter(logged_of(MACHINE, [every(log, SAMPLES)], SAMPLES + 1)), TOLERANCE)
-    late = base.model.calibration(base.u)[NAMES.index(DELAY)]
+    late = base.model.calibration(base.theta)[NAMES.index(DELAY)]
     assert late == pytest.approx(0.5 / SAMPLES - 0.5 / (SAMPLES + 1), abs=0.005)

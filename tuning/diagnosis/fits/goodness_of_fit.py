@@ -7,9 +7,9 @@ from jaxtyping import Float
 
 from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.model.friction import coulomb
-from tuning.diagnosis.filter.following import LASTING
+from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME
 from tuning.diagnosis.fits.fitting import MOST, Fitted, Fitter
-from tuning.diagnosis.fits.trust import least_trusted, lost_samples, lost_share
+from tuning.diagnosis.fits.reference_noise import least_trusted, lost_samples, lost_share
 from tuning.diagnosis.hypotheses.calibration import DELAY, FORCE, NAMES
 
 LACKING = 30.0  # of cost
@@ -32,11 +32,11 @@ SLIDING = tuple(name for name in NAMES if name.split(".")[0] in _SLIDING)
 
 def relevant_forces(fitter: Fitter, fitted: Fitted) -> Float[np.ndarray, " 2"]:
     """Process forces (N) that are allowed to any model: lasting, and sudden ones that come to as much over as long."""
-    relevant = RELEVANT * float(coulomb(fitted.own.friction, 1.0, 0.0))
-    return relevant * np.array([1.0, np.sqrt(max(LASTING * fitter.logged.sampling.rate, 1.0))])
+    relevant = RELEVANT * float(coulomb(fitted.recalibrated_drive.friction, 1.0, 0.0))
+    return relevant * np.array([1.0, np.sqrt(max(DISTURBANCE_TIME * fitter.logged.sampling.rate, 1.0))])
 
 
-def lacking(fitter: Fitter, fitted: Fitted) -> float:
+def missing_evidence(fitter: Fitter, fitted: Fitted) -> float:
     """By how much a fit is likelier for letting the filter invent a force: nothing much where none is missing.
 
     A force of `RELEVANT` of the friction is allowed, and a sudden one that comes to as much over as long: the
@@ -44,24 +44,27 @@ def lacking(fitter: Fitter, fitted: Fitted) -> float:
     commands between. The effects are stepped along the same course in both: where one remembers when the table stood
     still, that makes a difference of its own.
     """
-    least = np.minimum(fitted.process, relevant_forces(fitter, fitted))
+    least = np.minimum(fitted.process_noise, relevant_forces(fitter, fitted))
     if fitter.logged.loop_samples > 1:
-        there = fitter.at(fitted.model, fitted.u, fitted.process, fitted.track.course)
-        sudden = np.append(np.geomspace(fitter.least, MOST, UNTOLD), fitted.process[1])
+        there = fitter.at(fitted.model, fitted.theta, fitted.process_noise, fitted.filtered.trajectory)
+        sudden = np.append(np.geomspace(fitter.least, MOST, UNTOLD), fitted.process_noise[1])
         any_sudden = np.stack([np.full(len(sudden), least[0]), sudden], axis=1)
-        least = fitter.with_process(there, fitted.model, any_sudden).process
-    none, some = (fitter.at(fitted.model, fitted.u, one, fitted.track.course).cost for one in (least, fitted.process))
+        least = fitter.with_process(there, fitted.model, any_sudden).process_noise
+    none, some = (
+        fitter.at(fitted.model, fitted.theta, one, fitted.filtered.trajectory).cost
+        for one in (least, fitted.process_noise)
+    )
     return none - some if np.isfinite(none) and np.isfinite(some) else np.inf
 
 
 def missing(fitter: Fitter, fitted: Fitted) -> float:
     """What a fit leaves unexplained, of cost."""
-    return max(lacking(fitter, fitted), 0.0) + BLOWS * max(lost_samples(fitted) - FEW_LOST, 0)
+    return max(missing_evidence(fitter, fitted), 0.0) + BLOWS * max(lost_samples(fitted) - FEW_LOST, 0)
 
 
-def complete(fitter: Fitter, fitted: Fitted) -> bool:
+def is_complete(fitter: Fitter, fitted: Fitted) -> bool:
     """Whether a fit explains the logs to the noise."""
-    return lost_samples(fitted) <= FEW_LOST and lacking(fitter, fitted) <= LACKING
+    return lost_samples(fitted) <= FEW_LOST and missing_evidence(fitter, fitted) <= LACKING
 
 
 def blind(fitter: Fitter, base: Fitted) -> bool:
@@ -72,7 +75,7 @@ def blind(fitter: Fitter, base: Fitted) -> bool:
 def power_left(base: Fitted, fitted: Fitted) -> float:
     """Share of the missing force's mean square that is left; between snapshots, of that which lasts."""
     last = 1 if fitted.model.logged.loop_samples > 1 else 2
-    return float(np.sum(fitted.process[:last] ** 2) / np.sum(base.process[:last] ** 2))
+    return float(np.sum(fitted.process_noise[:last] ** 2) / np.sum(base.process_noise[:last] ** 2))
 
 
 def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
@@ -93,7 +96,7 @@ def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
     return float(np.clip(share, 0.0, 1.0))
 
 
-def meant(*fits: Fitted) -> Sequence[str]:
+def comparable_parameters(*fits: Fitted) -> Sequence[str]:
     """The nominal parameters that mean what the drive file says in all of the fits: elements before sliding take over
     the others.
     """
@@ -105,30 +108,30 @@ def relieves(one: Fitted, other: Fitted, most: float = STRAINED) -> bool:
     """Whether one fit leaves no nominal parameter moved beyond `most` where another does, of those that mean the same
     in both.
     """
-    among = meant(one, other)
-    return strain(other, among) >= most > strain(one, among)
+    among = comparable_parameters(one, other)
+    return max_prior_deviation(other, among) >= most > max_prior_deviation(one, among)
 
 
-def credible(fitted: Fitted) -> bool:
+def is_plausible(fitted: Fitted) -> bool:
     """Whether a cause may be believed beside the numbers of a fit; how the bristle bends may be far off."""
-    return strain(fitted, SLIDING) <= IMPOSSIBLE
+    return max_prior_deviation(fitted, SLIDING) <= IMPOSSIBLE
 
 
-def disbelieved(one: Fitted, other: Fitted) -> bool:
+def is_implausible(one: Fitted, other: Fitted) -> bool:
     """Whether one fit rests on numbers that cannot be, where the other does without."""
-    return relieves(other, one, IMPOSSIBLE) or (credible(other) and not credible(one))
+    return relieves(other, one, IMPOSSIBLE) or (is_plausible(other) and not is_plausible(one))
 
 
-def strain(fitted: Fitted, among: Sequence[str] | None = None) -> float:
+def max_prior_deviation(fitted: Fitted, among: Sequence[str] | None = None) -> float:
     """By how many standard deviations of the prior the furthest nominal parameter was moved, of those that are `meant`
     or of others.
     """
-    return float(np.abs(_moved(fitted, among or meant(fitted))).max())
+    return float(np.abs(_moved(fitted, among or comparable_parameters(fitted))).max())
 
 
-def furthest(fitted: Fitted, among: Sequence[str] | None = None) -> str:
+def largest_deviation_says(fitted: Fitted, among: Sequence[str] | None = None) -> str:
     """In words: which nominal parameter was moved furthest."""
-    among = among or meant(fitted)
+    among = among or comparable_parameters(fitted)
     moved = _moved(fitted, among)
     k = int(np.abs(moved).argmax())
     by = _moves(fitted, among)[0][k]
@@ -146,4 +149,4 @@ def _moved(fitted: Fitted, among: Sequence[str]) -> Float[np.ndarray, " k"]:
 def _moves(fitted: Fitted, among: Sequence[str]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """How far the nominal parameters were moved, and their standard deviations before any log."""
     prior, which = fitted.model.prior, [NAMES.index(name) for name in among]
-    return (prior @ fitted.u[: len(NAMES)])[which], np.sqrt(np.sum(prior**2, axis=1))[which]
+    return (prior @ fitted.theta[: len(NAMES)])[which], np.sqrt(np.sum(prior**2, axis=1))[which]

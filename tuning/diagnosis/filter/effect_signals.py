@@ -1,7 +1,7 @@
-"""What acts on the table along a course: most effects, and the command that they make of another force.
+"""What acts on the table along a trajectory: most effects, and the command that they make of another force.
 
 Stepped along where the table went in the last pass, what an effect does is a signal like any other, whatever it is: one
-compiled filter (`following`) serves them all. Those that act by the table's own velocity and friction, and these by
+compiled filter (`ekf`) serves them all. Those that act by the table's own velocity and friction, and these by
 them, are stepped within it.
 """
 
@@ -22,34 +22,34 @@ from diffdrive.numerics.arrays import Scalar
 from tuning.identification.prediction import Lanes
 
 
-class Exposure(NamedTuple):
+class EffectSignals(NamedTuple):
     """What acts on the table over each period, and how far the scale is off; [lanes, n] each."""
 
     force: Float[Array, "lanes n"]  # N
     coulomb: Float[Array, "lanes n"]  # N
     gap: Float[Array, "lanes n"]  # N
     viscous: Float[Array, "lanes n"]  # N s/m
-    shift: Float[Array, "lanes n"]  # m, that the force's course within the period adds to the motion
+    shift: Float[Array, "lanes n"]  # m, that the force's shape within the period adds to the motion
     scale: Float[Array, "lanes n"]  # m
     beside: Float[Array, "lanes n"]  # N, share of `force` that does not come from the motor
     # N, in each control period of a sample, of the force about its mean
     ripple: Float[Array, "lanes n k"] | None = None
 
-    def seen(self, time: Scalar, course: "Course", load: Scalar) -> Seen:
-        """One sample of it, at one of a course, as coupled effects see it."""
-        position, velocity, bristle, friction, lacking = course
+    def seen(self, time: Scalar, trajectory: "Trajectory", load: Scalar) -> Seen:
+        """One sample of it, at one of a trajectory, as coupled effects see it."""
+        position, velocity, bristle, friction, disturbance = trajectory
         force = self.force - self.beside
-        return Seen(time, position, velocity, bristle, force, friction, load, self.beside, self.ripple, lacking)
+        return Seen(time, position, velocity, bristle, force, friction, load, self.beside, self.ripple, disturbance)
 
 
-class Course(NamedTuple):
+class Trajectory(NamedTuple):
     """Where the table went, as effects are to see it; [lanes, n] each."""
 
     position: Float[Array, "lanes n"]  # m
     velocity: Float[Array, "lanes n"]  # m/s
     bristle: Float[Array, "lanes n"]  # m
     friction: Float[Array, "lanes n"]  # N, all that resists
-    lacking: Float[Array, "lanes n"]  # N, force that the model lacks
+    disturbance: Float[Array, "lanes n"]  # N, force that the model lacks
 
 
 def altered(drive: Drive, effects: tuple[Effect, ...]) -> Drive:
@@ -57,28 +57,28 @@ def altered(drive: Drive, effects: tuple[Effect, ...]) -> Drive:
     return stages.with_machine_effects(drive, jax.tree.map(lambda leaf: leaf[0], effects))
 
 
-def exposure(
+def effect_signals(
     drive: Drive,
     effects: tuple[Effect, ...],
     delay: Scalar,
     lanes: Lanes,
-    course: Course,
+    trajectory: Trajectory,
     sampling: Sampling,
     starts: Float[Array, " lanes"],
     ahead: float = 0.0,
-) -> Exposure:
-    """What the effects, whose parameters are given for each lane, do along a course that starts at `starts` (s).
+) -> EffectSignals:
+    """What the effects, whose parameters are given for each lane, do along a trajectory that starts at `starts` (s).
 
     `ahead` is by how many samples a command may act before its row, as those of snapshots may.
     """
     machine = altered(drive, effects)
     period = sampling.period
 
-    def one(lane: Lanes, course: Course, effects: tuple[Effect, ...], start: Scalar) -> Exposure:
+    def one(lane: Lanes, trajectory: Trajectory, effects: tuple[Effect, ...], start: Scalar) -> EffectSignals:
         effects, asked = _asked(drive, effects, delay, lane, sampling, ahead)
         parts = asked.shape[1]
 
-        def step(states: tuple[PyTree, ...], at: PyTree) -> tuple[tuple[PyTree, ...], Exposure]:
+        def step(states: tuple[PyTree, ...], at: PyTree) -> tuple[tuple[PyTree, ...], EffectSignals]:
             count, table, forces, pushed, load = at
             pushes = []
             for k in range(parts):
@@ -95,20 +95,20 @@ def exposure(
                 table.friction,
                 load,
                 pushed,
-                disturbance=table.lacking,
+                disturbance=table.disturbance,
             )
             states, acts = stages.table_action(effects, states, seen, machine, period)
             scale = stages.scale_error(effects, table.position)
             shift = acts.shift + sum(stages.slope_displacement(machine, push.slope, period / parts) for push in pushes)
             beside = pushed + acts.force
             one = (force + beside, acts.coulomb, acts.gap, acts.viscous, shift, scale, beside)
-            return states, Exposure._make((*(value + 0.0 * force for value in one), ripple))
+            return states, EffectSignals._make((*(value + 0.0 * force for value in one), ripple))
 
         count = jnp.arange(len(asked), dtype=asked.dtype)
-        signals = (count, course, asked, lane.disturbance, lane.load)
+        signals = (count, trajectory, asked, lane.disturbance, lane.load)
         return lax.scan(step, stages.initial_states(effects, asked[0, 0]), signals)[1]
 
-    return lax.map(lambda each: one(*each), (lanes, course, effects, starts))
+    return lax.map(lambda each: one(*each), (lanes, trajectory, effects, starts))
 
 
 def _asked(
@@ -126,8 +126,8 @@ def _asked(
     count, parts = asked.shape
     late = delay + sum(effect.delay for effect in effects if isinstance(effect, LoopDelay))
     limited = cast(Array, saturate(drive.actuator, asked.reshape(-1)))  # of an array, it is one
-    answered = mean_forces(drive.actuator, limited, sampling.period / parts)
-    force = _held_back(answered, jnp.maximum(late, -ahead) * parts)
+    innovation_jvp = mean_forces(drive.actuator, limited, sampling.period / parts)
+    force = _held_back(innovation_jvp, jnp.maximum(late, -ahead) * parts)
     return tuple(effect for effect in effects if not isinstance(effect, LoopDelay)), force.reshape(count, parts)
 
 

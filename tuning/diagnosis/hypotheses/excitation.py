@@ -5,7 +5,7 @@ import numpy as np
 from tuning.diagnosis.hypotheses.model import Logged
 from tuning.diagnosis.hypotheses.setting import Setting
 from tuning.identification.excitation import ONE_WAY, SHORTEST, SPEEDS
-from tuning.identification.shown_motion import LARGEST, Shortcoming, shown_velocity
+from tuning.identification.shown_motion import LARGEST, ExcitationDeficit, shown_velocity
 
 TRAVEL = 10.0  # times the bristle's bend before it slides
 SCATTER = 20.0  # standard deviations of the measured position, which noise and a servo that hunts may span
@@ -13,7 +13,7 @@ SATURATED = 0.5  # of the time in which it moves, at the limit
 AT_THE_LIMIT = 0.98  # of it: a measured command is noisy
 
 
-def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
+def excitation_deficits(logged: Logged, at: Setting) -> list[ExcitationDeficit]:
     """What stands in the way of a diagnosis; empty where nothing does."""
     counts = np.asarray(logged.lanes.counts) > 0
     position, command = np.asarray(logged.lanes.position), np.asarray(logged.lanes.command)
@@ -21,7 +21,7 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
     for least, why in ((TRAVEL * at.bristle, "too little to slide"), (SCATTER * noise, "which may be noise")):
         if travel < least:
             return [
-                Shortcoming(
+                ExcitationDeficit(
                     "anything but the stiffness at rest",
                     f"the table travels {1e6 * travel:.3g} um, {why}",
                     "a motion of several millimetres to and fro, at two speeds at least",
@@ -34,7 +34,7 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
     found = []
     if len(moving) < few:  # any motion shows for as long as the velocity is told over
         return [
-            Shortcoming(
+            ExcitationDeficit(
                 "friction and mass",
                 f"the table is nowhere faster than the {1e3 * slowest:.2g} mm/s that would stand out from the noise",
                 "a faster motion to and fro, at two speeds at least",
@@ -42,7 +42,7 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
         ]
     if len(moving) < SHORTEST * rate:
         found.append(
-            Shortcoming(
+            ExcitationDeficit(
                 "friction and mass",
                 f"the table moves for {len(moving) / rate:.2g} s only",
                 "several seconds of motion to and fro, with pauses",
@@ -51,7 +51,7 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
     shares = [float(np.mean(way * moving > 0)) for way in (1, -1)]
     if min(shares) < ONE_WAY:
         found.append(
-            Shortcoming(
+            ExcitationDeficit(
                 "asymmetry, constant forces, backlash and the friction at reversals",
                 "the table moves in one direction only",
                 "a motion to and fro",
@@ -60,7 +60,7 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
     slow, fast = np.percentile(np.abs(moving), [10, 95])
     if fast < SPEEDS * slow:
         found.append(
-            Shortcoming(
+            ExcitationDeficit(
                 "viscous against Coulomb friction, and everything that depends on speed",
                 f"the table runs at one speed, {1e3 * np.median(np.abs(moving)):.3g} mm/s",
                 "strokes at two speeds at least, a factor of five apart",
@@ -72,7 +72,7 @@ def shortcomings(logged: Logged, at: Setting) -> list[Shortcoming]:
     limit = float(np.percentile(asked, LARGEST)) if known is None else float(known)
     if np.mean(asked > AT_THE_LIMIT * limit) > SATURATED:
         found.append(
-            Shortcoming(
+            ExcitationDeficit(
                 "anything in the forces",
                 "the command is at its limit for most of the time",
                 "a gentler motion, within the drive's force",

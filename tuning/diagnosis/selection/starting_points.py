@@ -10,7 +10,7 @@ from scipy.signal import savgol_filter
 from diffdrive.effects.forces import Cogging, ProcessForce
 from diffdrive.effects.friction import AppliedLoad
 from diffdrive.effects.scale import InterpolationError, LeadError
-from tuning.diagnosis.filter.following import LOST
+from tuning.diagnosis.filter.ekf import LOST
 from tuning.diagnosis.fits.fitting import Fitted
 from tuning.diagnosis.gap.lines import lines_in_position, lines_in_time, missing_force
 from tuning.diagnosis.hypotheses.candidate import Candidate
@@ -66,7 +66,7 @@ def _level(signal: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"], rate:
 def _loads(fitted: Fitted) -> list[dict[str, np.ndarray]]:
     """When a load was put on and taken off in each log: friction missing there, or too much of it elsewhere."""
     logged = fitted.model.logged
-    rate, velocity = logged.sampling.rate, np.asarray(fitted.track.course.velocity)
+    rate, velocity = logged.sampling.rate, np.asarray(fitted.filtered.trajectory.velocity)
     sliding = (np.asarray(logged.lanes.counts) > 0.0) & (np.abs(velocity) > SLOW)
     resisting = -np.sign(velocity) * missing_force(fitted)
     time = np.asarray(logged.starts)[:, None] + np.arange(velocity.shape[1]) / rate
@@ -89,7 +89,7 @@ def _unsmooth(position: Float[np.ndarray, "lanes n"]) -> Float[np.ndarray, "lane
     return position - savgol_filter(position, SMOOTH, PARABOLA, axis=1)
 
 
-def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarray]]:
+def starting_points(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarray]]:
     """The candidate's grid, or where the lines are: each parameter one value for each log."""
     logged = fitted.model.logged
     logs, owner, rate, begins = logged.logs, logged.owner, logged.sampling.rate, np.asarray(logged.starts)
@@ -99,7 +99,7 @@ def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarra
 
     if candidate.effect is Cogging:
         known = [one.get("period", 1e-3) for one in candidate.grid]
-        position, counts = np.asarray(fitted.track.course.position), np.asarray(logged.lanes.counts)
+        position, counts = np.asarray(fitted.filtered.trajectory.position), np.asarray(logged.lanes.counts)
         lines = lines_in_position(missing_force(fitted), position, counts, min(known), max(known))
         found = [one.value for one in lines] or list(np.geomspace(min(known), max(known), 4))
         return [{"period": everywhere(k * p)} for p in found for k in (1.0, 2.0)]
@@ -108,8 +108,8 @@ def looked_for(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarra
         # where the table goes through several periods a sample, only what is no smooth motion of it is alike
         name, shortest, longest = SCALES[candidate.effect]
         finest = next((low for bound, low, _ in candidate.bounds if bound == name), 0.0)
-        position, counts = np.asarray(fitted.track.course.position), np.asarray(logged.lanes.counts)
-        surprise = np.asarray(fitted.track.innovation) / np.asarray(fitted.track.scatter) * counts
+        position, counts = np.asarray(fitted.filtered.trajectory.position), np.asarray(logged.lanes.counts)
+        surprise = np.asarray(fitted.filtered.innovation) / np.asarray(fitted.filtered.innovation_std) * counts
         surprise = np.where(np.abs(surprise) < LOST, surprise, 0.0)
         lines = [
             one

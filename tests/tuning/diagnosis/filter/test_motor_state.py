@@ -11,12 +11,12 @@ from diffdrive.model.friction import coulomb
 from diffdrive.numerics.oscillator import Oscillator
 from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of
 from tests.support.sound_log import DRIVE
-from tuning.diagnosis.filter import hidden
-from tuning.diagnosis.fits.trust import lost_share
+from tuning.diagnosis.filter import motor_state
+from tuning.diagnosis.fits.reference_noise import lost_share
 from tuning.diagnosis.hypotheses.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.selection.screening import begin, joined
-from tuning.diagnosis.selection.search import standing
+from tuning.diagnosis.selection.search import initial_trajectory
 
 PLAY = {"gap": 9e-6, "frequency": 450.0, "damping": 0.08, "motor_share": 0.3, "table_friction": 0.6}
 SCREWS = {
@@ -80,8 +80,13 @@ def test_one_loop_answers_as_the_derivative_of_the_step_does():
 
 
 def test_where_no_screw_is_there_is_nothing_hidden():
-    assert hidden.screw_of(()) is None
-    assert hidden.read((), ()) == hidden.unknown((), DRIVE.drive, 1.0) == hidden.jolted((), 1.0) == ()
+    assert motor_state.screw_of(()) is None
+    assert (
+        motor_state.read((), ())
+        == motor_state.unknown((), DRIVE.drive, 1.0)
+        == motor_state.velocity_noise_vars((), 1.0)
+        == ()
+    )
 
 
 @pytest.mark.parametrize(("force", "deflection"), [(40.0, 4e-6), (400.0, 4e-6), (400.0, 2e-5)])
@@ -89,26 +94,28 @@ def test_a_lost_motor_rests_where_its_force_may_hold_it(force, deflection):
     """A screw that carries more than friction is bent by that: only what no force explains is taken back."""
     screw = SCREWS["elastic"]
     stiffness = 0.4 * 0.6 * DRIVE.drive.plant.mass * (2.0 * np.pi * 300.0) ** 2
-    found, rate = hidden.regained((screw,), (deflection, 1e-3), jnp.asarray(True), DRIVE.drive, force)
+    found, rate = motor_state.regained((screw,), (deflection, 1e-3), jnp.asarray(True), DRIVE.drive, force)
     friction = float(coulomb(DRIVE.drive.friction, 1.0, 0.0))
     assert float(found) == pytest.approx(min(deflection, max(force, friction) / stiffness))
     assert float(rate) == 0.0
-    assert hidden.regained((screw,), (deflection, 1e-3), jnp.asarray(False), DRIVE.drive, force)[1] == 1e-3
-    assert hidden.unknown((screw,), DRIVE.drive, force)[0] == pytest.approx((max(force, friction) / stiffness) ** 2)
+    assert motor_state.regained((screw,), (deflection, 1e-3), jnp.asarray(False), DRIVE.drive, force)[1] == 1e-3
+    assert motor_state.unknown((screw,), DRIVE.drive, force)[0] == pytest.approx(
+        (max(force, friction) / stiffness) ** 2
+    )
 
 
 @pytest.mark.long
 def test_the_filter_finds_a_motor_that_is_not_where_it_begins():
     """Begun in the middle of the gap, with the drive file off by its tolerance: blows tell where the motor is."""
-    fitter, process = fitter_of(Backlash(**PLAY)), np.array([1.0, 1.0])
-    bare = fitter.fit(Model(fitter.logged), np.zeros(len(NAMES)), process, standing(fitter.logged), 0)
+    fitter, process_noise = fitter_of(Backlash(**PLAY)), np.array([1.0, 1.0])
+    bare = fitter.fit(Model(fitter.logged), np.zeros(len(NAMES)), process_noise, initial_trajectory(fitter.logged), 0)
     candidate = next(one for one in catalogue(fitter, bare) if one.name == "backlash")
     model = joined(bare.model, candidate)
     values = {name: np.array([value]) for name, value in PLAY.items()}
     own = begin(model, values)
-    true = fitter.fit(model, np.r_[DEVIATIONS / TOLERANCE, own], process, standing(fitter.logged), 0)
-    file = fitter.fit(model, np.r_[np.zeros(len(NAMES)), own], process, standing(fitter.logged), 0)
+    true = fitter.fit(model, np.r_[DEVIATIONS / TOLERANCE, own], process_noise, initial_trajectory(fitter.logged), 0)
+    file = fitter.fit(model, np.r_[np.zeros(len(NAMES)), own], process_noise, initial_trajectory(fitter.logged), 0)
     wide = begin(model, {**values, "gap": np.array([1.3 * PLAY["gap"]])})
-    wrong = fitter.fit(model, np.r_[DEVIATIONS / TOLERANCE, wide], process, standing(fitter.logged), 0)
-    assert lost_share(fitter, true, process) < 2e-3
+    wrong = fitter.fit(model, np.r_[DEVIATIONS / TOLERANCE, wide], process_noise, initial_trajectory(fitter.logged), 0)
+    assert lost_share(fitter, true, process_noise) < 2e-3
     assert true.cost < min(file.cost, wrong.cost) - 100.0

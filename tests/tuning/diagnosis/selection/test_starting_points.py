@@ -9,7 +9,7 @@ import pytest
 from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.harmonics import at_its_root
 from tuning.diagnosis.hypotheses.setting import Setting
-from tuning.diagnosis.selection.beginnings import looked_for
+from tuning.diagnosis.selection.starting_points import starting_points
 
 RATE = 1_000.0
 SETTING = Setting(100.0, 70.0, 4e-4, 2e3, 0.0, 3e-6, 1.0 / RATE, 9.0, -0.02, 0.02, 0.06, 200.0, 200.0)
@@ -25,13 +25,19 @@ def _off(name, parameter, period, measured, force, noise):
     flat = np.zeros((1, len(TIME)))
     lanes = SimpleNamespace(counts=flat + 1.0, position=jnp.asarray(measured)[None])
     logged = SimpleNamespace(logs=1, owner=(0,), starts=jnp.zeros(1), sampling=SimpleNamespace(rate=RATE), lanes=lanes)
-    course = SimpleNamespace(position=POSITION[None])
-    track = SimpleNamespace(
-        pull=(flat, flat), innovation=noise[None], scatter=1e-7 + flat, lacking=force[None], course=course
+    trajectory = SimpleNamespace(position=POSITION[None])
+    filtered = SimpleNamespace(
+        kalman_gain=(flat, flat),
+        innovation=noise[None],
+        innovation_std=1e-7 + flat,
+        disturbance=force[None],
+        trajectory=trajectory,
     )
     drive = SimpleNamespace(plant=SimpleNamespace(mass=100.0))
     candidate = next(one for one in candidates(SETTING) if one.name == name)
-    points = looked_for(SimpleNamespace(model=SimpleNamespace(logged=logged), track=track, drive=drive), candidate)
+    points = starting_points(
+        SimpleNamespace(model=SimpleNamespace(logged=logged), filtered=filtered, drive=drive), candidate
+    )
     travel = np.ptp(POSITION)
     return min(abs(travel / float(one[parameter][0]) - travel / period) for one in points)
 
@@ -102,12 +108,14 @@ def test_the_times_of_a_load_are_those_of_each_log(sign, later):
     sampling = SimpleNamespace(rate=RATE)
     logged = SimpleNamespace(logs=2, owner=owner, starts=jnp.asarray(starts), sampling=sampling, lanes=lanes)
     flat = np.zeros_like(force)
-    track = SimpleNamespace(
-        pull=(flat, flat), innovation=flat, lacking=force, course=SimpleNamespace(velocity=velocity)
+    filtered = SimpleNamespace(
+        kalman_gain=(flat, flat), innovation=flat, disturbance=force, trajectory=SimpleNamespace(velocity=velocity)
     )
     drive = SimpleNamespace(plant=SimpleNamespace(mass=100.0))
     candidate = next(one for one in candidates(SETTING) if len(one.parameters) > 1 and one.name == "applied_load")
-    points = looked_for(SimpleNamespace(model=SimpleNamespace(logged=logged), track=track, drive=drive), candidate)
+    points = starting_points(
+        SimpleNamespace(model=SimpleNamespace(logged=logged), filtered=filtered, drive=drive), candidate
+    )
     more, less = points[-2:]
     found = more if sign > 0 else less
     np.testing.assert_allclose(found["start"], [3.2, 2.4], atol=0.06)
