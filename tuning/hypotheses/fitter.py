@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tuning.diagnosis.filter.ekf import StepJacobians
+from tuning.diagnosis.filter.derivatives import StepJacobians
 from tuning.diagnosis.fits.differences import by_numbers
 from tuning.diagnosis.fits.fitting import Fitter, Point
 from tuning.diagnosis.hypotheses.calibration import NAMES

@@ -4,7 +4,6 @@ Most effects are a signal like any other (`effect_signals`). Those that act by t
 these by them, are stepped within the filter (`coupled`). How the innovations answer small changes: `derivatives`.
 """
 
-import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple, cast
 
@@ -13,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
 from diffdrive.effects import stages
@@ -35,7 +33,6 @@ DISTURBANCE_TIME = 0.02  # s, that a missing force lasts
 LOST = 6.0  # scatters; a filter that is so far off begins again from the measurement
 RESTART_STD = 1e-5  # m, standard deviation of the position when it does
 QUIETEST = 1e-6  # the square of the scale of all noises, at least: a log that never changes shows no noise at all
-BATCH = 512  # samples that are differentiated at once
 
 
 class ProcessNoise(NamedTuple):
@@ -65,25 +62,6 @@ class EkfResult(NamedTuple):
 def force_per_innovation(filtered: EkfResult, drive: Drive, rate: float) -> Float[np.ndarray, "lanes n"]:
     """The sudden force (N) that the filter invents per metre of each innovation."""
     return float(drive.plant.mass) * rate * np.asarray(filtered.kalman_gain[1])
-
-
-class StepJacobians(NamedTuple):
-    """Derivatives of the table after one period: [lanes, n, 3, directions]."""
-
-    state: Float[Array, "lanes n 3 2"]  # with respect to velocity and bristle
-    machine: Float[Array, "lanes n 3 p"]  # to the numbers of plant and friction, in the order of `numbers`
-    signals: Float[Array, "lanes n 3 4"]  # to force, Coulomb friction, gap and viscous friction
-
-
-def numbers(drive: Drive) -> Float[Array, " p"]:
-    """Plant and friction as one vector."""
-    return ravel_pytree((drive.plant, drive.friction))[0]
-
-
-def with_numbers(drive: Drive, values: Float[Array, " p"]) -> Drive:
-    """The drive with plant and friction from such a vector."""
-    plant, friction = ravel_pytree((drive.plant, drive.friction))[1](values)
-    return dataclasses.replace(drive, plant=plant, friction=friction)
 
 
 def _begun(
@@ -218,7 +196,7 @@ def run_filter(
         def step(carry: PyTree, at: PyTree) -> tuple[PyTree, PyTree]:
             return body(carry, (*at, coupled, again))
 
-        along = (lane.position, lane.load, acts._replace(ripple=_in_substeps(acts, sampling)), time)
+        along = (lane.position, lane.load, acts._replace(ripple=in_substeps(acts, sampling)), time)
         return lax.scan(step, (begin, diagonal((measured_variance, *spread)), effects), along)[1]
 
     def begun(
@@ -251,7 +229,7 @@ def run_filter(
 compiled_filter = eqx.filter_jit(run_filter)  # traced once for all programs that call this
 
 
-def _in_substeps(acts: EffectSignals, sampling: Sampling) -> Float[Array, "*lanes n substeps"] | None:
+def in_substeps(acts: EffectSignals, sampling: Sampling) -> Float[Array, "*lanes n substeps"] | None:
     """The ripple of each substep of each sample."""
     if acts.ripple is None:
         return None
@@ -263,84 +241,3 @@ def deviance_of(innovation: Array, innovation_std: Array, counts: Array) -> tupl
     squares = jnp.minimum((innovation / innovation_std) ** 2, LOST**2)  # how far a lost filter was off says no more
     size = jnp.maximum(jnp.sum(counts * squares) / jnp.sum(counts), QUIETEST)
     return jnp.sum(counts) * jnp.log(size) + 2.0 * jnp.sum(counts * jnp.log(innovation_std)), size
-
-
-def step_jacobians_along(
-    drive: Drive, under: EffectSignals, filtered: EkfResult, lanes: Lanes, sampling: Sampling
-) -> StepJacobians:
-    """Derivatives of every period along what was filtered, by the state, the machine and the effects' signals."""
-
-    def period(args: PyTree, load: Scalar, ripple: Float[Array, " substeps"] | None) -> Float[Array, " 3"]:
-        v, z, machine, force, coulomb, gap, viscous = args
-        acts = EffectSignals(force, coulomb, gap, viscous, *(jnp.zeros(()) for _ in range(3)))
-        table = plant.PlantState(jnp.zeros_like(v), v, z)
-        bent = stages.with_friction_offset(with_numbers(drive, machine), acts)
-        return jnp.stack(plant.advance(bent, table, force, load, sampling.period, sampling.plant_steps, ripple))
-
-    def at(sample: PyTree) -> Float[Array, "3 directions"]:
-        v, z, force, coulomb, gap, viscous, load, ripple = sample
-        args = (v, z, numbers(drive), force, coulomb, gap, viscous)
-        flat, again = ravel_pytree(args)
-        jac = jax.vmap(lambda d: jax.jvp(lambda a: period(again(a), load, ripple), (flat,), (d,))[1], out_axes=1)(
-            jnp.eye(len(flat))
-        )
-        return jac
-
-    force = under.force + filtered.disturbance
-    trajectory, ripple = filtered.trajectory, _in_substeps(under, sampling)
-    samples = (
-        trajectory.velocity,
-        trajectory.bristle,
-        force,
-        under.coulomb,
-        under.gap,
-        under.viscous,
-        lanes.load,
-        ripple,
-    )
-    shape = filtered.disturbance.shape
-    flat = jax.tree.map(lambda one: one.reshape(-1, *one.shape[2:]), samples)
-    jac = lax.map(at, flat, batch_size=BATCH)
-    jac = jac.reshape(*shape, 3, -1)
-    return StepJacobians(jac[..., :2], jac[..., 2:-4], jac[..., -4:])
-
-
-def innovations_of_forcings(
-    filtered: EkfResult,
-    step_jacobians: StepJacobians,
-    forcing: Float[Array, "lanes n 3 m"],
-    scale: Float[Array, "lanes n m"],
-    period: float,
-) -> Float[Array, "lanes n m"]:
-    """Change of the innovations over their scatter, [lanes, n, m], for forcings of the table ([lanes, n, 3, m] after
-    each period) and errors of the scale ([lanes, n, m]).
-    """
-    ar1_coeff = float(np.exp(-period / DISTURBANCE_TIME))
-
-    def one(args: PyTree) -> Float[Array, "n m"]:
-        gain, innovation_std, state, push, forced, off = args
-
-        def body(carry: PyTree, at: PyTree) -> tuple[PyTree, Float[Array, " m"]]:
-            x, v, z, f = carry
-            (kx, kv, kz, kf), s, a, p, d, shift = at
-            e = -(x + shift)
-            x, v, z, f = x + kx * e, v + kv * e, z + kz * e, f + kf * e
-            ahead = [(x if row == 0 else 0.0) + a[row, 0] * v + a[row, 1] * z + p[row] * f + d[row] for row in range(3)]
-            return (*ahead, ar1_coeff * f), e / s
-
-        m = forced.shape[-1]
-        # the filter begins where the first sample was measured
-        begin = (-off[0], *(jnp.zeros(m) for _ in range(3)))
-        return lax.scan(body, begin, (gain, innovation_std, state, push, forced, off))[1]
-
-    return lax.map(
-        one,
-        (
-            filtered.kalman_gain,
-            filtered.innovation_std,
-            step_jacobians.state,
-            step_jacobians.signals[..., 0],
-            forcing,
-            scale,
-        ),
-    )

@@ -15,8 +15,9 @@ from jaxtyping import Array, Float, Int
 
 from diffdrive.effects.stages import Effects
 from diffdrive.model.parameters import Drive
+from tuning.diagnosis.filter.derivatives import numbers, with_numbers
 from tuning.diagnosis.filter.effect_signals import EffectSignals, Trajectory
-from tuning.diagnosis.filter.ekf import EkfResult, ProcessNoise, compiled_filter, numbers, with_numbers
+from tuning.diagnosis.filter.ekf import EkfResult, ProcessNoise, compiled_filter
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.model import Logged, Model, Vector, machine, signals_along, stacked
 

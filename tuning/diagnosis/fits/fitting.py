@@ -15,16 +15,9 @@ from jaxtyping import Array, Float
 
 from diffdrive.effects.stages import Effects
 from diffdrive.model.parameters import Drive
+from tuning.diagnosis.filter.derivatives import StepJacobians, innovations_of_forcings, step_jacobians_along
 from tuning.diagnosis.filter.effect_signals import EffectSignals, Trajectory
-from tuning.diagnosis.filter.ekf import (
-    LOST,
-    EkfResult,
-    ProcessNoise,
-    StepJacobians,
-    compiled_filter,
-    innovations_of_forcings,
-    step_jacobians_along,
-)
+from tuning.diagnosis.filter.ekf import LOST, EkfResult, ProcessNoise, compiled_filter
 from tuning.diagnosis.filter.second_encoder import Twist, predicted_twist, twist_deviance
 from tuning.diagnosis.fits.curvature import limited, log_volume, solved
 from tuning.diagnosis.fits.differences import by_numbers

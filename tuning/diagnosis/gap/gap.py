@@ -23,15 +23,9 @@ from diffdrive.loop.rollout import rollout_loop
 from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import as_arrays
+from tuning.diagnosis.filter.derivatives import StepJacobians, innovations_of_forcings
 from tuning.diagnosis.filter.effect_signals import Trajectory
-from tuning.diagnosis.filter.ekf import (
-    DISTURBANCE_TIME,
-    LOST,
-    EkfResult,
-    StepJacobians,
-    force_per_innovation,
-    innovations_of_forcings,
-)
+from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME, LOST, EkfResult, force_per_innovation
 from tuning.diagnosis.fits.fitting import Fitted, Fitter, compiled_step_jacobians
 from tuning.diagnosis.fits.goodness_of_fit import BLIND
 from tuning.diagnosis.fits.reference_noise import share_lost

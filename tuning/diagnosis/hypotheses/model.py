@@ -20,8 +20,8 @@ from diffdrive.effects.base import Effect, Envelope
 from diffdrive.effects.transmission import Transmission
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import Scalar
+from tuning.diagnosis.filter.derivatives import numbers
 from tuning.diagnosis.filter.effect_signals import EffectSignals, Trajectory, altered, effect_signals
-from tuning.diagnosis.filter.ekf import numbers
 from tuning.diagnosis.hypotheses.calibration import NAMES, TOLERANCE, calibrated, fraction_of_delay, tolerated
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.identification.prediction import Lanes
