@@ -148,7 +148,7 @@ class _Search:
         """
         return self.done(base, best) and best.model.coupled
 
-    def next_trajectory(
+    def forward_selection(
         self, base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]
     ) -> Explanation:
         """What was found before and, of this catalogue, what is found beside it."""
@@ -186,7 +186,7 @@ class _Search:
         other = self.spared(_credibly(self.fitter, found))
         if other is found:
             return found
-        return self.next_trajectory(other.base, other.rounds[: other.best.model.added], other.best, catalogue)
+        return self.forward_selection(other.base, other.rounds[: other.best.model.added], other.best, catalogue)
 
     def spared(self, found: Explanation) -> Explanation:
         """Without an effect that the others can do without; the same object where there is none.
@@ -263,7 +263,7 @@ class _Search:
         last = self.weighed(found.base, again.rounds[-1])
         if last.worth_it:
             return again._replace(rounds=[*again.rounds[:-1], last])
-        return self.next_trajectory(found.base, again.rounds[:-1], last.before, catalogue)
+        return self.forward_selection(found.base, again.rounds[:-1], last.before, catalogue)
 
 
 def explain(
@@ -282,14 +282,14 @@ def explain(
     for. Where that ends better, everything is; the other end is kept as a rival.
     """
     search = _Search(fitter, progress, most, tell)
-    found = search.to_its_best(search.next_trajectory(base, [], base, catalogue), catalogue)
+    found = search.to_its_best(search.forward_selection(base, [], base, catalogue), catalogue)
     first = _other_first(found)
     if first is None or search.over(found.base, found.best):
         return found
     first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]])
 
     def beside(catalogue: Sequence[Candidate]) -> Explanation:
-        return search.to_its_best(search.next_trajectory(found.base, [first], first.fits[0], catalogue), catalogue)
+        return search.to_its_best(search.forward_selection(found.base, [first], first.fits[0], catalogue), catalogue)
 
     other = beside([one for one in catalogue if one.name in found.named])
     if not _better(found.base, other.best, found.best):

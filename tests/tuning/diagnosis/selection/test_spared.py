@@ -176,7 +176,7 @@ def offered(monkeypatch, coupled):
     monkeypatch.setattr(explain, "is_complete", lambda fitter, one: one is first)
     monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
     search = _Search(None, quiet, 2)
-    found = search.next_trajectory(base, [], base, catalogue())
+    found = search.forward_selection(base, [], base, catalogue())
     return found, asked
 
 
