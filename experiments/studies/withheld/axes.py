@@ -13,6 +13,15 @@ from diffdrive.model.parameters import Drive, Friction, Plant
 from diffdrive.model.quantity import Directional
 
 
+# what stands for an effect of the screw, on an axis without one: the first of them that is not drawn already
+INSTEAD = {
+    "lead_error": ("interpolation_error", "cogging"),
+    "backlash": ("frame_vibration", "position_friction"),
+    "compliance": ("frame_vibration", "position_friction"),
+    "swallowed_screw": ("swallowed_frame",),
+}
+
+
 class StudyAxis(NamedTuple):
     """An axis as its engineer knows it, and the ratios of its dimensions to those of the paper's."""
 
@@ -30,6 +39,7 @@ class StudyAxis(NamedTuple):
     samples_a_row: tuple[int, ...] = (1,)  # of the control, among which it is drawn; with several it is unknown
     gentleness: float = 1.0  # how many times as long it takes to reach a like share of the speed
     wind_up: float | None = None  # m/N, of the screw between table and a motor whose encoder is logged, too
+    absent: tuple[str, ...] = ()  # effects that it cannot have, or cannot show: of `INSTEAD`
 
     @property
     def resolution(self) -> float:
@@ -108,7 +118,7 @@ def _gantry() -> StudyAxis:
     drive = _drive(presets.paper_drive(), 600.0, 0.0, friction, 200.0, 5e-7)
     return StudyAxis(drive, (5e-8, 2e-7), (500.0, 1000.0, 2000.0), (0.3, 0.5, 0.2), (40.0, 100.0),
                      length_ratio=4.0, force_ratio=3.5, load_ratio=0.32, bristle_ratio=3.0,
-                     resolution_ratio=5.0, cascaded=True, wind_up=3e-10, gentleness=4.0)  # fmt: skip
+                     resolution_ratio=5.0, cascaded=True, wind_up=3e-10, gentleness=4.0, absent=("lead_error",))  # fmt: skip
 
 
 def _linear() -> StudyAxis:
@@ -120,7 +130,7 @@ def _linear() -> StudyAxis:
     drive = _drive(presets.paper_drive(), 20.0, 0.0, friction, 3.0, 1e-8)
     return StudyAxis(drive, (3e-9, 1e-8), (4000.0, 8000.0, 10000.0), (0.4, 0.3, 0.3), (200.0, 350.0),
                      length_ratio=3.0, force_ratio=0.12, load_ratio=0.09, bristle_ratio=2.0,
-                     resolution_ratio=0.15)  # fmt: skip
+                     resolution_ratio=0.15, absent=tuple(INSTEAD))  # fmt: skip
 
 
 def _vertical() -> StudyAxis:

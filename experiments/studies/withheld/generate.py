@@ -25,7 +25,7 @@ from experiments.studies import control
 from experiments.studies.withheld import axes, equations, faults, machine, motions, outsiders
 from experiments.studies.withheld import draw as draws
 from experiments.studies.withheld import truth as truths
-from experiments.studies.withheld.axes import AXES, StudyAxis
+from experiments.studies.withheld.axes import AXES, INSTEAD, StudyAxis
 from experiments.studies.withheld.draw import WithheldCase, draw, log_faults, without_fault
 from experiments.studies.withheld.faults import KNOWN, PITFALLS
 from experiments.studies.withheld.machine import MOTOR_SHARE, run
@@ -64,11 +64,13 @@ def _draw_pair(rng: np.random.Generator, names: list[str]) -> tuple[str, ...]:
 
 
 def seen_on(effects: tuple[str, ...], axis: StudyAxis) -> tuple[str, ...]:
-    """The effects that are drawn for an axis: a scale beside the motor does not see the screw, but has waves too."""
-    if axis.wind_up is None:
-        return effects
-    waves = next(name for name in ("interpolation_error", "cogging") if name not in effects)
-    return tuple(waves if name == "lead_error" else name for name in effects)
+    """The effects that are drawn for an axis: a linear motor has no screw, and a scale beside a motor does not see its
+    errors, but has waves too.
+    """
+    for absent in axis.absent:
+        others = (name for name in INSTEAD[absent] if name not in effects)
+        effects = tuple(next(others) if name == absent else name for name in effects)
+    return effects
 
 
 def _follows(case: WithheldCase, log: Log) -> bool:

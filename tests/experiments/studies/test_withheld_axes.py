@@ -141,6 +141,16 @@ def test_a_scale_beside_the_motor_has_waves_of_its_own_in_the_place_of_the_screw
     assert generate.seen_on(("lead_error",), AXES["cnc"]) == ("lead_error",)
 
 
+def test_a_linear_motor_has_no_fault_of_a_screw():
+    linear, screws = AXES["linear"], {"lead_error", "backlash", "compliance", "swallowed_screw"}
+    assert generate.seen_on(("backlash",), linear) == ("frame_vibration",)
+    assert generate.seen_on(("frame_vibration", "compliance"), linear) == ("frame_vibration", "position_friction")
+    for effects in generate.draw_effects(3, 200):
+        instead = generate.seen_on(effects, linear)
+        assert not screws & set(instead)
+        assert len(set(instead)) == len(effects)
+
+
 ALIKE = {  # shares, times, frequencies and phases, which are what they are on any axis
     "load_start", "load_end", "wave", "wave_phase", "middle", "drift_viscous", "drift_coulomb", "drift_time", "growth",
     "onset", "rested", "cogging_phase", "second", "sixth", "process_frequency", "process_phase", "process_start",
