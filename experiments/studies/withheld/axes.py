@@ -12,7 +12,6 @@ from diffdrive.model import presets
 from diffdrive.model.parameters import Drive, Friction, Plant
 from diffdrive.model.quantity import Directional
 
-
 # what stands for an effect of the screw, on an axis without one: the first of them that is not drawn already
 INSTEAD = {
     "lead_error": ("interpolation_error", "cogging"),
@@ -118,7 +117,8 @@ def _gantry() -> StudyAxis:
     drive = _drive(presets.paper_drive(), 600.0, 0.0, friction, 200.0, 5e-7)
     return StudyAxis(drive, (5e-8, 2e-7), (500.0, 1000.0, 2000.0), (0.3, 0.5, 0.2), (40.0, 100.0),
                      length_ratio=4.0, force_ratio=3.5, load_ratio=0.32, bristle_ratio=3.0,
-                     resolution_ratio=5.0, cascaded=True, wind_up=3e-10, gentleness=4.0, absent=("lead_error",))  # fmt: skip
+                     resolution_ratio=5.0, cascaded=True, wind_up=3e-10, gentleness=4.0,
+                     absent=("lead_error",))  # fmt: skip
 
 
 def _linear() -> StudyAxis:
