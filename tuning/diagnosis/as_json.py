@@ -57,6 +57,7 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "recalibrated": list(_recalibrated(found)),
         "ladder": [_rung(found, one) for one in found.comparisons],
         "closed": _closed(found),
+        "rest": found.rest and found.rest._asdict() | {"says": found.rest.says},
         "lacks": [one._asdict() for one in found.excitation_deficits],
         "detection_limits": [one._asdict() | {"says": limit_says(one)} for one in found.limits],
         "logs_would_show": limits_say(found.limits),

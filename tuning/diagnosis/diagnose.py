@@ -48,6 +48,7 @@ from tuning.diagnosis.judgement.held_out import (
     prune_on_validation,
 )
 from tuning.diagnosis.judgement.ladder import ModelComparison, compare_models, known_floor
+from tuning.diagnosis.judgement.rest import Rest
 from tuning.diagnosis.judgement.verdict import Verdict, judge
 from tuning.diagnosis.limits.detection import DetectionLimit, detection_limits, small_amounts
 from tuning.diagnosis.limits.isolability import Rivalry, rivalries
@@ -81,6 +82,7 @@ class Diagnosis:
     limits: list[DetectionLimit]  # what the logs would have shown of each effect that was not found
     alike: list[Rivalry]  # what they would have shown, and not told from another effect
     left: list[Dependence] | None  # what would explain what is left, the likeliest first; None: not looked for
+    rest: Rest | None = None  # of long logs, what becomes of the stretches that were not diagnosed
 
     @property
     def floor(self) -> float | None:

@@ -21,11 +21,13 @@ from diffdrive.support.bounds import require_count, require_number
 from tuning.checked_logs import CheckedLogs, checked
 from tuning.diagnosis.as_json import as_json
 from tuning.diagnosis.cause_words import headlines
-from tuning.diagnosis.diagnose import Diagnosis
+from tuning.diagnosis.diagnose import Diagnosis, logged_of
 from tuning.diagnosis.diagnose import diagnose as diagnose_drive
 from tuning.diagnosis.gap.gap import drive_of
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
+from tuning.diagnosis.hypotheses.stretches import most_telling
 from tuning.diagnosis.judgement.held_out import GapReduction
+from tuning.diagnosis.judgement.rest import Rest, held_against
 from tuning.diagnosis.judgement.verdict import UNSURE, Belief
 from tuning.diagnosis.next_experiment import Experiment, next_experiment
 from tuning.diagnosis.selection.explain import MOST_EFFECTS
@@ -93,6 +95,7 @@ class DiagnosisResult(Result):
         lines = [f"{self.verdict.upper()}: {self.says}", *headlines(details["causes"])]
         lines += [details["closed"]["says"], f"Gap: {details['gap']['says']}", f"Next: {self.next_motion.says}"]
         lines += [details["left_looks_like"]] if details["left_looks_like"] else []
+        lines += [details["rest"]["says"]] if details["rest"] else []
         lines += [details["scale_noise"]] if details["scale_noise"] else []
         lines += [f"{finding['log']}: {finding['found']}; {finding['mend']}" for finding in details["findings"]]
         lines += [details["logs_would_show"]] if details["logs_would_show"] and self.verdict == "none" else []
@@ -170,11 +173,29 @@ def diagnose_checked(
     """The engine's answer, as sure as the checks of the logs allow; `more` is what the engine takes."""
     most, seen = 0 if is_void(used) else most_effects, axis.as_logged()
     without = [*without, *unseen_effects(axis)]
+    stretches = most_telling(used.logs, seen.drive)
     found = diagnose_drive(
-        seen.drive, seen.controller, used.logs,
+        seen.drive, seen.controller, stretches.fitted,
         most_effects=most, without=without, loop_samples=axis.loop_samples, uncertainty=axis.uncertainty, **more,
     )  # fmt: skip
+    if stretches.rest and most:
+        every = logged_of(seen.drive, used.logs, axis.loop_samples)
+        process_noise = found.comparisons[-1].trusting
+        rest = held_against(every, used.logs, stretches.fitted, found.explanation, process_noise)
+        found = with_the_rest(found, rest)
     return downgrade(found, used.fatal)
+
+
+def with_the_rest(found: Diagnosis, rest: Rest) -> Diagnosis:
+    """The diagnosis of stretches, doubted where they are explained to the noise and the other stretches are not."""
+    found = dataclasses.replace(found, rest=rest)
+    if rest.is_explained or found.verdict.verdict == "unknown":
+        return found
+    why = (
+        f"the stretches that were not diagnosed are not explained by it: {rest.missing:.3g} N are missing there, most "
+        f"of it, {rest.worst:.3g} N, about {rest.start:.4g} s of {rest.log}; diagnose that part by itself"
+    )
+    return dataclasses.replace(found, verdict=found.verdict.downgraded(why))
 
 
 def unseen_effects(axis: Axis) -> list[str]:
@@ -209,6 +230,7 @@ def diagnosis_result(axis: Axis, used: CheckedLogs, found: Diagnosis, offer: Exp
         for cause in details["causes"]
     )  # fmt: skip
     notes = [f"{log}: {finding.message}; {finding.remedy}" for log, finding in used.notable]
+    notes += [found.rest.says] if found.rest else []
     augmented = None
     if searched:
         try:

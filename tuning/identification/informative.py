@@ -8,7 +8,7 @@ taken one by one, each time the one that raises the determinant of the informati
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,8 @@ LONGEST = 40.0  # s that are fitted at most: about a minute of searching on two 
 STRETCH = 5.0  # s: several strokes, and long beside the 0.1 s in which a filter finds the state it began with
 SMOOTHING = 20e-3  # s, over which an acceleration is taken
 LEAST = 1e-9  # of the information of all: what a direction has that nothing has shown yet
+
+Information = Float[np.ndarray, "p p"]
 
 
 class Stretches(NamedTuple):
@@ -49,15 +51,36 @@ def most_informative(logs: Sequence[Log], drive: Drive, seconds: float = LONGEST
 
     A log that is fitted in part is in both, under its name; where it is cut it has gaps.
     """
-    if sum(_seconds(log) for log in logs) <= seconds or len(logs) == 0:
+    if not is_long(logs, seconds):
         return Stretches(tuple(logs), ())
-    cuts = [_cut(log) for log in logs]
-    every = [(k, stretch) for k, stretches in enumerate(cuts) for stretch in stretches]
+    cuts = [cut(log) for log in logs]
     information = [
-        one for log, stretches in zip(logs, cuts, strict=True) for one in _information(log, stretches, drive)
+        [information_of(columns[first:last], log.rate) for first, last in stretches]
+        for log, stretches, columns in zip(logs, cuts, (regressors(log, drive) for log in logs), strict=True)
     ]
-    order = _greedy(np.array(information), max(1, int(seconds / STRETCH)))
-    chosen = {every[k] for k in order}
+    return best_stretches(logs, cuts, information, seconds)
+
+
+def is_long(logs: Sequence[Log], seconds: float = LONGEST) -> bool:
+    """Whether the logs last longer than so many seconds."""
+    return sum(_seconds(log) for log in logs) > seconds
+
+
+def best_stretches(
+    logs: Sequence[Log],
+    cuts: Sequence[Sequence[tuple[int, int]]],
+    information: Sequence[Sequence[Information]],
+    seconds: float,
+    begun: Collection[tuple[int, int]] = (),
+) -> Stretches:
+    """Those of the `cuts` whose information together has the largest determinant, for so many seconds.
+
+    `begun` are some that are taken anyway: the number of the log, and that of the stretch in it.
+    """
+    every = [(k, number) for k, stretches in enumerate(cuts) for number in range(len(stretches))]
+    first = [every.index(one) for one in begun]
+    order = _greedy(np.array([information[k][number] for k, number in every]), max(1, int(seconds / STRETCH)), first)
+    chosen = {(every[k][0], cuts[every[k][0]][every[k][1]]) for k in order}
     fitted, rest = [], []
     for k, (log, stretches) in enumerate(zip(logs, cuts, strict=True)):
         mine = [stretch for stretch in stretches if (k, stretch) in chosen]
@@ -71,7 +94,7 @@ def _seconds(log: Log) -> float:
     return sum(piece.stop - piece.start for piece in long_pieces(log)) / log.rate
 
 
-def _cut(log: Log) -> list[tuple[int, int]]:
+def cut(log: Log) -> list[tuple[int, int]]:
     """The log's pieces in equal stretches of `STRETCH` and less, by their first and last sample."""
     found = []
     for piece in long_pieces(log):
@@ -82,13 +105,12 @@ def _cut(log: Log) -> list[tuple[int, int]]:
     return found
 
 
-def _information(log: Log, stretches: Sequence[tuple[int, int]], drive: Drive) -> list[Float[np.ndarray, "p p"]]:
-    """Of each stretch the squares and products of the regressors, summed over its samples."""
-    columns = _columns(log, drive)
-    return [columns[first:last].T @ columns[first:last] / log.rate for first, last in stretches]
+def information_of(columns: Float[np.ndarray, "n p"], rate: float) -> Information:
+    """The squares and products of regressors, summed over the samples of a stretch."""
+    return columns.T @ columns / rate
 
 
-def _columns(log: Log, drive: Drive) -> Float[np.ndarray, "n p"]:
+def regressors(log: Log, drive: Drive) -> Float[np.ndarray, "n p"]:
     """What each parameter's force is in proportion to, at every sample at which the table moves for certain."""
     lanes, rate = lanes_of([log]), log.rate
     counts = np.asarray(lanes.counts) > 0
@@ -119,14 +141,15 @@ def _columns(log: Log, drive: Drive) -> Float[np.ndarray, "n p"]:
     return columns
 
 
-def _greedy(information: Float[np.ndarray, "s p p"], count: int) -> list[int]:
-    """Indices of `count` stretches, each the one that raises the determinant most."""
+def _greedy(information: Float[np.ndarray, "s p p"], count: int, begun: Sequence[int]) -> list[int]:
+    """Indices of `count` stretches: those that are begun with, then each the one that raises the determinant most."""
     total = information.sum(axis=0)
     shown = np.diag(total) > 0.0
     scale = 1.0 / np.sqrt(np.diag(total)[shown])
     scaled = information[:, shown][:, :, shown] * np.outer(scale, scale)
-    known, order = LEAST * np.eye(int(shown.sum())), list[int]()
-    for _ in range(min(count, len(information))):
+    order = list(begun)
+    known = LEAST * np.eye(int(shown.sum())) + scaled[order].sum(axis=0)
+    for _ in range(min(count, len(information)) - len(order)):
         gains = np.linalg.slogdet(known + scaled)[1]
         gains[order] = -np.inf
         best = int(np.argmax(gains))

@@ -86,6 +86,8 @@ def print_answers(report: Report, details: Details) -> None:
     report.show(SHRINK, _SHOWN, _joined(_ladder(details)), notes=_odd(details["ladder"]))
     for reason in _not_simulated(details):
         report.say(f"  {reason}")
+    if details["rest"]:
+        report.say(f"\n  {details['rest']['says']}.")
     if details["left_looks_like"]:
         report.say(f"\n{details['left_looks_like']}.")
     if details["detection_limits"]:
