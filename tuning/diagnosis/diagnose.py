@@ -24,7 +24,8 @@ from diffdrive.numerics.arrays import as_arrays
 from diffdrive.support.rates import is_same_rate
 from tuning.diagnosis.filter.effect_signals import in_parts
 from tuning.diagnosis.filter.second_encoder import twist_of
-from tuning.diagnosis.fits.fitting import Fitted, Fitter
+from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import LACKING, SLIDING, is_complete, is_plausible, largest_deviation_says
 from tuning.diagnosis.fits.reference_noise import reference_process_noise
 from tuning.diagnosis.gap.dependence import Dependence, dependences

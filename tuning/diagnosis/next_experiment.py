@@ -25,7 +25,8 @@ from diffdrive.model.parameters import Sensor
 from diffdrive.motion.motion import Motion, require_within
 from diffdrive.numerics.arrays import as_arrays
 from tuning.diagnosis.diagnose import Diagnosis
-from tuning.diagnosis.fits.fitting import Fitted, Fitter
+from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.gap.gap import MOVING, drive_of
 from tuning.diagnosis.gap.where import SIGNIFICANT, Region
 from tuning.diagnosis.hypotheses.model import Logged, Model, thinned

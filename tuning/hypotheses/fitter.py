@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float
 
 from tuning.diagnosis.filter.derivatives import StepJacobians
 from tuning.diagnosis.fits.differences import by_numbers
-from tuning.diagnosis.fits.fitting import Fitter, Point
+from tuning.diagnosis.fits.fitted import Point
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.model import Model, Vector
 

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tuning.diagnosis.fits.fitting import Fitted, Fitter
+from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import is_complete, relevant_forces
 from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.hypotheses.calibration import NAMES
@@ -119,7 +120,7 @@ def judged(fitter: Fitter, fitted: Fitted, at: Setting) -> Judged:
     for share in SHARES:
         under = trusting(fitter, fitted, share)
         if np.isfinite(under.evidence):
-            free.append(under.cost + under.second - table_of(under, at).evidence)
+            free.append(under.cost + under.second_encoder_deviance - table_of(under, at).evidence)
     return Judged(fitted, fitted.evidence, min(free, default=np.inf))
 
 

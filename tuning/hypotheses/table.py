@@ -21,7 +21,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp
 
-from tuning.diagnosis.fits.fitting import Fitted, Fitter
+from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.gap.dependence import SCALES, corner_answers, families
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.model import Vector

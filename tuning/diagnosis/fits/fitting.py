@@ -5,22 +5,18 @@ filter is chosen anew. The evidence is Laplace's: the cost at its least, and the
 prior.
 """
 
-from typing import NamedTuple
-
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from diffdrive.effects.stages import Effects
-from diffdrive.model.parameters import Drive
-from tuning.diagnosis.filter.derivatives import StepJacobians, innovations_of_forcings, step_jacobians_along
-from tuning.diagnosis.filter.effect_signals import EffectSignals, Trajectory
-from tuning.diagnosis.filter.ekf import LOST, EkfResult, ProcessNoise, compiled_filter
+from tuning.diagnosis.filter.derivatives import StepJacobians
+from tuning.diagnosis.filter.effect_signals import Trajectory
+from tuning.diagnosis.filter.ekf import LOST, ProcessNoise, compiled_filter
 from tuning.diagnosis.filter.second_encoder import Twist, predicted_twist, twist_deviance
-from tuning.diagnosis.fits.curvature import limited, log_volume, solved
+from tuning.diagnosis.fits.curvature import limited, solved
 from tuning.diagnosis.fits.differences import by_numbers
+from tuning.diagnosis.fits.fitted import Fitted, Point, compiled_step_jacobians, deviances_under, innovation_jvp
 from tuning.diagnosis.hypotheses.calibration import DELAY, NAMES
 from tuning.diagnosis.hypotheses.model import (
     Logged,
@@ -48,87 +44,6 @@ DAMPING = 0.1  # of a step's curvature in units of the prior's
 ENOUGH = 0.5  # of cost, that a step must gain
 SETTLING = 3  # passes after the last step: what a passing trajectory gained is no evidence
 FAR = 100.0  # of cost: a step that gains more is still on its way
-
-
-class Fitted(NamedTuple):
-    """Where a fit ended."""
-
-    model: Model
-    theta: Vector
-    process_noise: Float[np.ndarray, " 2"]  # N, as in `ProcessNoise`
-    cost: float  # deviance and prior
-    filtered: EkfResult
-    signals: EffectSignals
-    step_jacobians: StepJacobians
-    recalibrated_drive: Drive  # recalibrated
-    drive: Drive  # and altered
-    jacobian: Float[np.ndarray, "m k"]  # of the residuals, whose sum of squares is what the cost falls by
-    residual: Float[np.ndarray, " m"]
-    hessian: Float[np.ndarray, "k k"]
-    steps: int
-    second: float  # -2 log likelihood of what a second encoder saw; 0 without one
-
-    @property
-    def evidence(self) -> float:
-        """-2 log of the probability of the logs under the hypothesis, up to a constant shared by all."""
-        found = self.cost + self.second + log_volume(self.hessian)
-        return found if np.isfinite(found) else np.inf
-
-
-compiled_step_jacobians = eqx.filter_jit(step_jacobians_along)
-
-
-@eqx.filter_jit
-def _deviances(
-    drive: Drive,
-    signals: EffectSignals,
-    coupled: Effects,
-    processes: Float[Array, "q 2"],
-    logged: Logged,
-    trajectory: Trajectory,
-) -> Float[Array, " q"]:
-    def one(process_noise: Float[Array, " 2"]) -> Float[Array, ""]:
-        given = (logged.noise, logged.lanes, logged.sampling, trajectory)
-        return compiled_filter(drive, signals, coupled, ProcessNoise(*process_noise), *given).deviance
-
-    return jax.vmap(one)(processes)
-
-
-@eqx.filter_jit
-def innovation_jvp(
-    filtered: EkfResult,
-    step_jacobians: StepJacobians,
-    machine: Float[Array, "p k"],
-    signals: EffectSignals | None,
-    counts: Float[Array, "lanes n"],
-    period: float,
-) -> Float[Array, "lanes n k"]:
-    """Answers of the innovations, over their scatter, to the machine's numbers ([p, k]) and to exposures."""
-    forcing = jnp.einsum("lnrp,pk->lnrk", step_jacobians.machine, machine)
-    off = jnp.zeros((*forcing.shape[:2], forcing.shape[-1]))
-    if signals is not None:
-        acts = jnp.stack([signals.force, signals.coulomb, signals.gap, signals.viscous], axis=-2)
-        more = jnp.einsum("lnrc,lncm->lnrm", step_jacobians.signals, acts)
-        forcing, off = (forcing + more).at[:, :, 0].add(signals.shift), signals.scale
-    return innovations_of_forcings(filtered, step_jacobians, forcing, off, period) * counts[..., None]
-
-
-class Point(NamedTuple):
-    """A hypothesis at some values of its parameters."""
-
-    theta: Vector
-    process_noise: Float[np.ndarray, " 2"]
-    recalibrated_drive: Drive
-    drive: Drive
-    signals: EffectSignals
-    trajectory: Trajectory  # that effects were stepped along
-    filtered: EkfResult
-    cost: float
-
-    @property
-    def next_trajectory(self) -> Trajectory:
-        """Half way from that trajectory to the one that came of it."""
-        return jax.tree.map(lambda a, b: 0.5 * (a + b), self.trajectory, self.filtered.trajectory)
 
 
 class Fitter:
@@ -183,7 +98,7 @@ class Fitter:
         signals = signals_along(self.logged, point.recalibrated_drive, loose, point.next_trajectory)
         parts = [jnp.asarray(some) for some in np.split(filled, len(filled) // len(NEAR))]
         found = np.concatenate(
-            [_deviances(point.drive, signals, coupled, some, self.logged, point.next_trajectory) for some in parts]
+            [deviances_under(point.drive, signals, coupled, some, self.logged, point.next_trajectory) for some in parts]
         )
         found = found[: len(processes)]
         best = processes[int(np.argmin(np.where(np.isfinite(found), found, np.inf)))]

@@ -8,7 +8,8 @@ from jaxtyping import Float
 from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.model.friction import coulomb
 from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME
-from tuning.diagnosis.fits.fitting import MOST, Fitted, Fitter
+from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitting import MOST, Fitter
 from tuning.diagnosis.fits.reference_noise import least_trusted, lost_samples, lost_share
 from tuning.diagnosis.hypotheses.calibration import DELAY, FORCE, NAMES
 

@@ -18,7 +18,7 @@ from diffdrive.effects.forces import EDGE_TIME, FrameVibration, ProcessForce
 from diffdrive.effects.friction import AppliedLoad, FrictionDwell, PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash, Compliance
 from tuning.diagnosis.fits.curvature import solved
-from tuning.diagnosis.fits.fitting import Fitted
+from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.priors import Parameter
 from tuning.identification.estimates import NORMAL

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tuning.diagnosis.fits.curvature import solved
-from tuning.diagnosis.fits.fitting import Fitted
+from tuning.diagnosis.fits.fitted import Fitted
 
 
 class Reduced(NamedTuple):

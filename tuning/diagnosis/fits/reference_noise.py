@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tuning.diagnosis.filter.ekf import LOST, EkfResult
-from tuning.diagnosis.fits.fitting import Fitted, Fitter
+from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.hypotheses.setting import setting
 
 Forces = Float[np.ndarray, " 2"]  # N, as in `ProcessNoise`

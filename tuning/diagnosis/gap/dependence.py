@@ -16,7 +16,8 @@ from scipy.special import logsumexp
 
 from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.fits.curvature import log_volume, solved
-from tuning.diagnosis.fits.fitting import Fitted, Fitter, innovation_jvp
+from tuning.diagnosis.fits.fitted import Fitted, innovation_jvp
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import WORTH
 from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.hypotheses.setting import Setting

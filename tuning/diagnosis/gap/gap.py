@@ -26,7 +26,8 @@ from diffdrive.numerics.arrays import as_arrays
 from tuning.diagnosis.filter.derivatives import StepJacobians, innovations_of_forcings
 from tuning.diagnosis.filter.effect_signals import Trajectory
 from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME, LOST, EkfResult, force_per_innovation
-from tuning.diagnosis.fits.fitting import Fitted, Fitter, compiled_step_jacobians
+from tuning.diagnosis.fits.fitted import Fitted, compiled_step_jacobians
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import BLIND
 from tuning.diagnosis.fits.reference_noise import share_lost
 from tuning.diagnosis.hypotheses.model import Model, Vector, counted_in, delay_of

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy import fft, ndimage
 
 from tuning.diagnosis.filter.ekf import force_per_innovation
-from tuning.diagnosis.fits.fitting import Fitted
+from tuning.diagnosis.fits.fitted import Fitted
 
 MOST_PLACES = 2**21  # of a travel, told apart
 PEAKS, STRONG = 4, 2  # that stand out most from their neighbourhood, and those of a wide one

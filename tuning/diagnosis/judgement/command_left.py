@@ -18,7 +18,7 @@ from diffdrive.model.actuator import saturate
 from diffdrive.model.current_loop import mean_forces
 from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.fits.curvature import solved
-from tuning.diagnosis.fits.fitting import Fitted, innovation_jvp
+from tuning.diagnosis.fits.fitted import Fitted, innovation_jvp
 from tuning.diagnosis.gap.gap import sliding
 from tuning.diagnosis.hypotheses.model import delay_of
 from tuning.diagnosis.judgement.verdict import Verdict

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.stats import chi2
 
 from tuning.diagnosis.filter.ekf import LOST
-from tuning.diagnosis.fits.fitting import Fitted
+from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.judgement.verdict import Verdict
 
 MOMENT, SHORTEST = 5e-3, 3  # s, and samples at least

@@ -13,7 +13,8 @@ from jaxtyping import Float
 from diffdrive.controllers import Controller
 from diffdrive.logs import Log
 from tuning.diagnosis.filter.ekf import LOST, EkfResult
-from tuning.diagnosis.fits.fitting import NEAR, Fitted, Fitter
+from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitting import NEAR, Fitter
 from tuning.diagnosis.fits.reference_noise import Forces, least_following, reference_process_noise
 from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.gap.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap, uncoupled

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from diffdrive.logs import Log
-from tuning.diagnosis.fits.fitting import SETTLING, Fitted, Fitter
+from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitting import SETTLING, Fitter
 from tuning.diagnosis.fits.goodness_of_fit import is_complete, unexplained
 from tuning.diagnosis.fits.reference_noise import Forces
 from tuning.diagnosis.gap.gap import ForceGap, force_gap

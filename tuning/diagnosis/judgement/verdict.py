@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
-from tuning.diagnosis.fits.fitting import Fitted, Fitter
+from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
     COARSE,
     IMPOSSIBLE,

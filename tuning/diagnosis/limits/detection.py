@@ -25,7 +25,8 @@ from diffdrive.effects.catalogue import EFFECTS
 from tuning.diagnosis.filter.ekf import LOST
 from tuning.diagnosis.filter.second_encoder import predicted_twist, seen_by
 from tuning.diagnosis.fits.curvature import log_volume, solved
-from tuning.diagnosis.fits.fitting import Fitted, Fitter, Point
+from tuning.diagnosis.fits.fitted import Fitted, Point
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import relevant_forces
 from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.hypotheses.candidate import WAVE, Candidate

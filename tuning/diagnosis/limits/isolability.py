@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tuning.diagnosis.fits.fitting import Fitted, Fitter
+from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.judgement.verdict import COLDEST, DECLARED, SOFT
 from tuning.diagnosis.limits.detection import (

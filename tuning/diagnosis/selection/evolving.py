@@ -21,7 +21,7 @@ from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import Drive
 from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.filter.ekf import ProcessNoise, deviance_of, run_filter
-from tuning.diagnosis.fits.fitting import Fitted
+from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.gap.lines import missing_force
 from tuning.diagnosis.hypotheses.model import Logged, Model, Vector, effect_in_lanes, machine, signals_along, stacked
 from tuning.identification.prediction import Lanes, initial_velocity

@@ -8,7 +8,8 @@ from typing import NamedTuple, Optional
 import numpy as np
 
 from tuning.diagnosis.fits.curvature import limited, solved
-from tuning.diagnosis.fits.fitting import NEAR, Fitted, Fitter
+from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitting import NEAR, Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
     IMPOSSIBLE,
     SLIGHT,

@@ -5,7 +5,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from tuning.diagnosis.fits.fitting import MOST_STEPS, NEAR, Fitted, Fitter, Point
+from tuning.diagnosis.fits.fitted import Fitted, Point
+from tuning.diagnosis.fits.fitting import MOST_STEPS, NEAR, Fitter
 from tuning.diagnosis.fits.goodness_of_fit import SLIGHT, WORTH, is_implausible
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate

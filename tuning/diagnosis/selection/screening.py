@@ -19,7 +19,8 @@ from diffdrive.effects.base import MachineEffect
 from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.fits.curvature import limited, log_volume, solved
 from tuning.diagnosis.fits.differences import by_acts
-from tuning.diagnosis.fits.fitting import Fitted, Fitter, Point, innovation_jvp
+from tuning.diagnosis.fits.fitted import Fitted, Point, innovation_jvp
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import STRAINED, max_prior_deviation
 from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.hypotheses.calibration import NAMES

@@ -14,7 +14,8 @@ import numpy as np
 from diffdrive.errors import ParameterError
 from diffdrive.model.uncertainty import Uncertainty
 from tuning.diagnosis.filter.effect_signals import Trajectory
-from tuning.diagnosis.fits.fitting import MOST_STEPS, Fitted, Fitter, Point
+from tuning.diagnosis.fits.fitted import Fitted, Point
+from tuning.diagnosis.fits.fitting import MOST_STEPS, Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
     COARSE,
     IMPOSSIBLE,

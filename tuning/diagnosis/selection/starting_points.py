@@ -11,7 +11,7 @@ from diffdrive.effects.forces import Cogging, ProcessForce
 from diffdrive.effects.friction import AppliedLoad
 from diffdrive.effects.scale import InterpolationError, LeadError
 from tuning.diagnosis.filter.ekf import LOST
-from tuning.diagnosis.fits.fitting import Fitted
+from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.gap.lines import lines_in_position, lines_in_time, missing_force
 from tuning.diagnosis.hypotheses.candidate import Candidate
 
