@@ -30,8 +30,9 @@ from experiments.cli.main import app
 from tests.support.perturbed_machine import catalogue, fitter_of
 from tests.support.sound_log import DRIVE, SOUND
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
+from tuning.diagnosis.selection.first_fits import fit_from
 from tuning.diagnosis.selection.screening import screen
-from tuning.diagnosis.selection.search import fit_from, recalibrated
+from tuning.diagnosis.selection.search import recalibrated
 from tuning.gains.objective import AGGREGATIONS, Objective
 from tuning.gains.scenarios import EnsembleSignals
 

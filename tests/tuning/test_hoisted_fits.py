@@ -14,8 +14,9 @@ from tests.tuning.identification.test_prediction import DELAYED, NOISE, SAMPLING
 from tests.tuning.identification.test_replay import CONTROLLERS, axis, logged
 from tests.tuning.identification.test_replay import SAMPLING as LOGGED
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
+from tuning.diagnosis.selection.first_fits import fit_from
 from tuning.diagnosis.selection.screening import screen
-from tuning.diagnosis.selection.search import fit_from, recalibrated
+from tuning.diagnosis.selection.search import recalibrated
 from tuning.gains.constrained import evaluate, linearise_at
 from tuning.identification.filter_gain import most_likely
 from tuning.identification.replay import replay_closed_loop

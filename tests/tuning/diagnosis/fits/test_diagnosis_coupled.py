@@ -16,14 +16,9 @@ from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.selection import evolving, refit
+from tuning.diagnosis.selection.first_fits import fit_from
 from tuning.diagnosis.selection.screening import begin, joined, screen, sensitivities
-from tuning.diagnosis.selection.search import (
-    _bringing_back,
-    fit_from,
-    initial_trajectory,
-    recalibrated,
-    select_next_effect,
-)
+from tuning.diagnosis.selection.search import _bringing_back, initial_trajectory, recalibrated, select_next_effect
 
 PLAY = {"gap": 5e-6, "frequency": 450.0, "damping": 0.08, "motor_share": 0.4, "table_friction": 0.4}
 

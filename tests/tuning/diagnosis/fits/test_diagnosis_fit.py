@@ -31,14 +31,9 @@ from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.judgement.events import CHANCE, least_foreseen
 from tuning.diagnosis.selection.explain import _further, explain
+from tuning.diagnosis.selection.first_fits import RACE, fit_from
 from tuning.diagnosis.selection.screening import _pushed, begin, joined, screen, sensitivities, tried
-from tuning.diagnosis.selection.search import (
-    RACE,
-    fit_from,
-    initial_trajectory,
-    recalibrated,
-    select_next_effect,
-)
+from tuning.diagnosis.selection.search import initial_trajectory, recalibrated, select_next_effect
 from tuning.diagnosis.selection.starting_points import starting_points
 
 HIDDEN = np.append(np.random.default_rng(8).uniform(-0.02, 0.02, LOGARITHMS), [0.0, 0.0])
