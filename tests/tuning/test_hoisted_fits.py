@@ -81,4 +81,4 @@ def test_the_diagnosis(compiled):
     base = recalibrated(fitter, TOLERANCE)
     candidate = next(one for one in catalogue(fitter, base) if one.name == "frame_vibration")
     fit_from(fitter, base, screen(base, candidate))
-    assert_native(compiled, "follow", "slopes", "answered", "_deviances", "_innovations")
+    assert_native(compiled, "run_filter", "step_jacobians_along", "innovation_jvp", "deviances_under", "_innovations")
