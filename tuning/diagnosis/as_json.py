@@ -132,7 +132,7 @@ def cause(found: Diagnosis, belief: Belief) -> dict[str, Any]:
 
 
 def _own_shrink(found: Diagnosis, before: ModelComparison, after: ModelComparison) -> dict[str, object]:
-    """What one effect takes off the gap beyond the floor that the rung before it leaves; no share of nothing."""
+    """What one effect takes off the gap beyond the floor that the model before it leaves; no share of nothing."""
     gone = gap_reduction(before, after, found.logged.sampling.rate)
     judged = {"judged_on": found.split.says}
     if gone is None or not after.force.told:

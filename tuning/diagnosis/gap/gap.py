@@ -100,8 +100,8 @@ def _counting(every: Float[np.ndarray, "lanes n"], filtered: EkfResult, rate: fl
 def force_gap(
     fitter: Fitter, fitted: Fitted, model: Model, theta: Vector, process_noise: Float[np.ndarray, " 2"]
 ) -> ForceGap:
-    """The force that a model lacks for a filter with these process forces (`comparing`), its effects stepped along
-    the track of `fitted`; the sudden one too, where it may invent more of that than it has to.
+    """The force that a model lacks for a filter with these process forces (`reference_process_noise`), its effects
+    stepped along the trajectory of `fitted`; the sudden one too, where it may invent more of that than it has to.
     """
     filtered = fitter.at(model, theta, process_noise, fitted.filtered.trajectory).filtered
     rate = fitter.logged.sampling.rate

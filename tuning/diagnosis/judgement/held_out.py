@@ -28,7 +28,7 @@ class GapReduction(NamedTuple):
 
 
 def gap_reduction(before: ModelComparison, after: ModelComparison, rate: float) -> GapReduction | None:
-    """From one rung to another, in mean squares; None where the first leaves nothing beyond the floor to be closed, or
+    """From one model to another, in mean squares; None where the first leaves nothing beyond the floor to be closed, or
     as well may leave nothing, and the interval excludes nothing.
 
     Unless the other opens a gap there. A filter that ran away closes nothing, nor does one that is lost; where only the
@@ -57,7 +57,7 @@ def gap_reduction(before: ModelComparison, after: ModelComparison, rate: float) 
 
 
 def gap_reductions(found: Explanation, comparisons: list[ModelComparison], rate: float) -> list[float | None]:
-    """Of each effect found, the share that it surely takes of what the rung before it leaves beyond the floor, at the
+    """Of each effect found, the share that it surely takes of what the model before it leaves beyond the floor, at the
     low end of its interval; none where what was found cannot be, or foresees what is held out worse than nothing.
     """
     gained = found.base.evidence - found.best.evidence
@@ -72,7 +72,7 @@ def gap_reductions(found: Explanation, comparisons: list[ModelComparison], rate:
 
 
 def left_in_loop(comparisons: list[ModelComparison]) -> float | None:
-    """Share of the recalibrated drive's gap in closed loop that the last rung leaves; None where the loop cannot tell.
+    """Share of the recalibrated drive's gap in closed loop that the last model leaves; None where the loop cannot tell.
 
     Beside another effect that closes the gap, one whose details differ must have closed most of what it found there.
     """
@@ -90,7 +90,7 @@ def left_in_loop(comparisons: list[ModelComparison]) -> float | None:
 
 
 def _left(before: ModelComparison, after: ModelComparison) -> float | None:
-    """Share of the gap in closed loop, in mean squares, that one rung leaves of another's, of position or command the
+    """Share of the gap in closed loop, in mean squares, that one model leaves of another's, of position or command the
     larger; None where there is hardly any, or where it is not known.
 
     Either is measured against the lesser floor: a simulation that hunts differs from itself as much as from the log.

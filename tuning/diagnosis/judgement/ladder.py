@@ -34,19 +34,19 @@ class ModelComparison(NamedTuple):
     force: ForceGap
     interval: tuple[float, float]  # N
     floor: float  # N: what the measuring noise alone would make of a model that lacks nothing
-    shrink: tuple[float, float, float]  # of the mean square of the force against the first rung: value, interval
+    shrink: tuple[float, float, float]  # of the mean square of the force against the nominal drive: value, interval
     loop: LoopGap | None
     unlikely: Float[np.ndarray, " pieces"]  # -2 log probability of each piece of what is held out, as `deviance`
     trusting: Forces  # N: process forces of the filter that tells the missing force
 
     @property
     def deviance(self) -> float:
-        """-2 log probability of what is held out, up to a constant shared by the rungs."""
+        """-2 log probability of what is held out, up to a constant shared by the models."""
         return float(np.sum(self.unlikely))
 
 
 def known_floor(comparisons: list[ModelComparison], comparison: ModelComparison) -> float | None:
-    """N: the floor of one of the rungs; None where it cannot be told. With effects within the filter it may be the
+    """N: the floor of one of the models; None where it cannot be told. With effects within the filter it may be the
     recalibrated drive's.
     """
     filtered = comparisons[1] if comparison.fitted.model.coupled else comparison
