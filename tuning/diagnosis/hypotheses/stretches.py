@@ -33,11 +33,11 @@ def most_telling(logs: Sequence[Log], drive: Drive, seconds: float = LONGEST) ->
 
     With its first stretch a log keeps its beginning, from which the times of effects count.
     """
-    if not is_long(logs, seconds):
+    cuts = [cut(log) for log in logs]
+    if not is_long(logs, seconds) or not all(cuts):  # a log of scraps is refused by name, not left out
         return Stretches(tuple(logs), ())
     ends = [(float(log.position.min()), float(log.position.max())) for log in logs]
     low, high = min(low for low, _ in ends), max(high for _, high in ends)
-    cuts = [cut(log) for log in logs]
     information = [_information(log, stretches, drive, low, high) for log, stretches in zip(logs, cuts, strict=True)]
     return best_stretches(logs, cuts, information, seconds, [(k, 0) for k in range(len(logs))])
 

@@ -1,5 +1,7 @@
 """Which stretches of long logs are diagnosed: the beginning of each, and those that show what no other does."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,12 @@ def test_a_log_keeps_its_beginning_from_which_times_count():
         assert part.time[0] == whole.time[0]
         assert 5.0 <= len(part.time) / RATE <= 15.0
     assert sum(len(log.time) for log in found.fitted) == 20.0 * RATE
+
+
+def test_a_log_of_scraps_is_left_to_be_refused():
+    whole = log_of(short_strokes)
+    scraps = dataclasses.replace(whole, name="scraps", gaps=tuple(range(100, len(whole.time), 100)))
+    assert list(most_telling([whole, scraps], DRIVE).fitted) == [whole, scraps]
 
 
 def test_a_place_that_only_one_stretch_goes_to_is_diagnosed():
