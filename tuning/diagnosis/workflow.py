@@ -27,7 +27,7 @@ from tuning.diagnosis.gap.gap import drive_of
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
 from tuning.diagnosis.hypotheses.stretches import most_telling
 from tuning.diagnosis.judgement.held_out import GapReduction
-from tuning.diagnosis.judgement.rest import Rest, held_against
+from tuning.diagnosis.judgement.rest import held_against
 from tuning.diagnosis.judgement.verdict import UNSURE, Belief
 from tuning.diagnosis.next_experiment import Experiment, next_experiment
 from tuning.diagnosis.selection.explain import MOST_EFFECTS
@@ -182,20 +182,8 @@ def diagnose_checked(
         every = logged_of(seen.drive, used.logs, axis.loop_samples)
         process_noise = found.comparisons[-1].trusting
         rest = held_against(every, used.logs, stretches.fitted, found.explanation, process_noise)
-        found = with_the_rest(found, rest)
+        found = dataclasses.replace(found, rest=rest)
     return downgrade(found, used.fatal)
-
-
-def with_the_rest(found: Diagnosis, rest: Rest) -> Diagnosis:
-    """The diagnosis of stretches, doubted where they are explained to the noise and the other stretches are not."""
-    found = dataclasses.replace(found, rest=rest)
-    if rest.is_explained or found.verdict.verdict == "unknown":
-        return found
-    why = (
-        f"the stretches that were not diagnosed are not explained by it: {rest.missing:.3g} N are missing there, most "
-        f"of it, {rest.worst:.3g} N, about {rest.start:.4g} s of {rest.log}; diagnose that part by itself"
-    )
-    return dataclasses.replace(found, verdict=found.verdict.downgraded(why))
 
 
 def unseen_effects(axis: Axis) -> list[str]:

@@ -120,6 +120,8 @@ def regressors(log: Log, drive: Drive) -> Float[np.ndarray, "n p"]:
     load = np.zeros(len(log.time)) if log.load is None else log.load + float(drive.friction.initial_load)
     pair, exponent = drive.friction.stribeck_velocity, float(drive.friction.exponent)
     for lane, piece in enumerate(long_pieces(log)):
+        if piece.stop - piece.start <= max(window, round(SMOOTHING * rate)):
+            continue  # too short to show a velocity
         velocity = np.zeros(piece.stop - piece.start)
         velocity[window // 2 : window // 2 + len(velocity) - window] = differenced[lane, : len(velocity) - window]
         velocity[np.abs(velocity) < slowest] = 0.0

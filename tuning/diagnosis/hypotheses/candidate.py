@@ -67,7 +67,7 @@ class Candidate(NamedTuple):
 
     @property
     def twists(self) -> bool:
-        """Whether a second encoder would see it, `second_encoder.foreseen`."""
+        """Whether a second encoder would see it, `second_encoder.predicted_twist`."""
         return issubclass(self.effect, transmission.Transmission | ScaleEffect)
 
     @property

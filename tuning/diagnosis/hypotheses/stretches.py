@@ -14,6 +14,7 @@ from diffdrive.logs import Log
 from diffdrive.model.parameters import Drive
 from tuning.identification.informative import (
     LONGEST,
+    STRETCH,
     Information,
     Stretches,
     best_stretches,
@@ -34,12 +35,20 @@ def most_telling(logs: Sequence[Log], drive: Drive, seconds: float = LONGEST) ->
     With its first stretch a log keeps its beginning, from which the times of effects count.
     """
     cuts = [cut(log) for log in logs]
-    if not is_long(logs, seconds) or not all(cuts):  # a log of scraps is refused by name, not left out
+    if not is_long(logs, seconds) or not _are_whole(cuts, logs, seconds):
         return Stretches(tuple(logs), ())
     ends = [(float(log.position.min()), float(log.position.max())) for log in logs]
     low, high = min(low for low, _ in ends), max(high for _, high in ends)
     information = [_information(log, stretches, drive, low, high) for log, stretches in zip(logs, cuts, strict=True)]
     return best_stretches(logs, cuts, information, seconds, [(k, 0) for k in range(len(logs))])
+
+
+def _are_whole(cuts: Sequence[Sequence[tuple[int, int]]], logs: Sequence[Log], seconds: float) -> bool:
+    """Whether stretches can be chosen: of few logs, each from its first sample on, in pieces as long as a stretch."""
+    if not all(cuts) or 2 * len(logs) * STRETCH > seconds or any(stretches[0][0] for stretches in cuts):
+        return False
+    lasting = [(last - first) / log.rate for log, each in zip(logs, cuts, strict=True) for first, last in each]
+    return float(np.mean(lasting)) >= 0.5 * STRETCH
 
 
 def _information(

@@ -1,4 +1,7 @@
-"""What becomes of the stretches of long logs that were not diagnosed: what was found is held against them."""
+"""What becomes of the stretches of long logs that were not diagnosed: what was found is held against them.
+
+It is told and decides nothing: how much a model may leave in data that it was not fitted to is not known yet.
+"""
 
 import dataclasses
 from collections.abc import Sequence
@@ -10,12 +13,11 @@ from jaxtyping import Float
 from diffdrive.logs import Log
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import SETTLING, Fitter
-from tuning.diagnosis.fits.goodness_of_fit import is_complete, unexplained
 from tuning.diagnosis.fits.reference_noise import Forces
 from tuning.diagnosis.gap.gap import ForceGap, force_gap
 from tuning.diagnosis.hypotheses.model import Logged
 from tuning.diagnosis.selection.explain import Explanation
-from tuning.diagnosis.selection.search import initial_trajectory, is_sufficient
+from tuning.diagnosis.selection.search import initial_trajectory
 from tuning.identification.informative import STRETCH, cut
 from tuning.identification.problem import long_pieces
 
@@ -27,7 +29,6 @@ class Rest(NamedTuple):
     missing: float
     recalibrated: float  # without what was found
     diagnosed: float  # with it, in the stretches that were
-    is_explained: bool  # whether it explains all of the logs, but for what it may leave
     worst: float  # in the stretch of the rest where most is missing
     log: str  # which that is in
     start: float  # s, of that log
@@ -69,7 +70,6 @@ def held_against(
         missing=_rms(after[~inside]),
         recalibrated=_rms(before[~inside]),
         diagnosed=_rms(after[inside]),
-        is_explained=is_complete(fitter, best) or is_sufficient(best, lambda one: unexplained(fitter, base, one)),
         worst=_rms(after[[worst]]),
         log=places[worst][0].name,
         start=float(places[worst][1]),
