@@ -27,7 +27,8 @@ def mounted_disk(folder, pages):
     try:
         yield folder
     finally:
-        subprocess.run(["umount", folder], check=True)
+        # lazily: whatever else looks at the machine's files at this moment keeps a disk busy
+        subprocess.run(["umount", "--lazy", folder], check=True)
 
 
 class _Limited(io.FileIO):
