@@ -128,7 +128,7 @@ def logged_of(drive: Drive, logs: Sequence[Log], loop_samples: int = 1) -> Logge
         lanes = lanes._replace(period_commands=in_parts(lanes.command, sampling.plant_steps))
     starts = jnp.asarray([float(log.time[piece.start] - log.time[0]) for log in logs for piece in long_pieces(log)])
     logged = Logged(as_arrays(drive), delay, padded(lanes), owner, noise, sampling, starts, thinning)
-    return logged if is_fast else likeliest_snapshots(logged, loop_samples)
+    return logged if is_fast else likeliest_snapshots(logged, logs, loop_samples)
 
 
 def diagnose(

@@ -57,11 +57,13 @@ class Fitter:
         fine = float(logged.drive.plant.mass) * float(logged.noise) / USUAL
         # in decades: a least that followed the noise would change with every log
         self.least = LEAST * min(1.0, 10.0 ** round(np.log10(fine)))
+        # what is not known of the command is a force that any model lacks
+        self.floor = np.array([max(self.least, float(logged.command_std)), self.least])
 
     @property
     def first(self) -> Float[np.ndarray, "w 2"]:
         """Process forces (N) where nothing is known of them."""
-        lasting = np.geomspace(self.least, MOST, 7)
+        lasting = np.geomspace(self.floor[0], MOST, 7)
         return np.array([(one, share * one) for one in lasting for share in (1e-2, 0.3, 3.0)])
 
     def quiet(self, process_noise: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "w 2"]:
@@ -92,7 +94,7 @@ class Fitter:
 
     def with_process(self, point: Point, model: Model, processes: np.ndarray) -> Point:
         """The same point under the likeliest of these process forces, its effects along its own trajectory."""
-        processes = np.clip(processes, self.least, MOST)
+        processes = np.clip(processes, self.floor, MOST)
         filled = np.pad(processes, ((0, -len(processes) % len(NEAR)), (0, 0)), mode="edge")  # one program for all
         loose, coupled = model.apart(model.effects(point.theta))
         signals = signals_along(self.logged, point.recalibrated_drive, loose, point.next_trajectory)
@@ -290,5 +292,5 @@ class Fitter:
     def _trusting(self, model: Model, point: Point, boldness: float) -> Point:
         """The same hypothesis in a filter that has less of a process force to blame."""
         return self.at(
-            model, point.theta, np.maximum(point.process_noise / boldness, self.least), point.next_trajectory
+            model, point.theta, np.maximum(point.process_noise / boldness, self.floor), point.next_trajectory
         )

@@ -32,8 +32,12 @@ SLIDING = tuple(name for name in NAMES if name.split(".")[0] in _SLIDING)
 
 
 def relevant_forces(fitter: Fitter, fitted: Fitted) -> Float[np.ndarray, " 2"]:
-    """Process forces (N) that are allowed to any model: lasting, and sudden ones that come to as much over as long."""
-    relevant = RELEVANT * float(coulomb(fitted.recalibrated_drive.friction, 1.0, 0.0))
+    """Process forces (N) that are allowed to any model: lasting, and sudden ones that come to as much over as long.
+
+    A lasting one is as large as what is known of the command, beside that.
+    """
+    friction = float(coulomb(fitted.recalibrated_drive.friction, 1.0, 0.0))
+    relevant = np.hypot(RELEVANT * friction, float(fitter.logged.command_std))
     return relevant * np.array([1.0, np.sqrt(max(DISTURBANCE_TIME * fitter.logged.sampling.rate, 1.0))])
 
 

@@ -69,7 +69,7 @@ def dependences(fitter: Fitter, fitted: Fitted, at: Setting) -> list[Dependence]
         return None
     best: dict[tuple[str, str], Dependence] = {}
     for share in PROCESSES:
-        under = fitter.under(fitted, np.maximum(share * fitted.process_noise, fitter.least))
+        under = fitter.under(fitted, np.maximum(share * fitted.process_noise, fitter.floor))
         slope = under.jacobian.T @ under.residual + under.theta
         moved = float(slope @ solved(under.hessian, slope))  # what is free gains by itself in this filter
         dearer = under.evidence - moved - fitted.evidence

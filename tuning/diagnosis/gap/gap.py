@@ -108,7 +108,7 @@ def force_gap(
     every = np.asarray(fitter.logged.lanes.counts)
     counts = _counting(every, filtered, rate)
     trusting = fitter.at(
-        model, theta, np.maximum(fitted.process_noise * TRUSTING, fitter.least), fitted.filtered.trajectory
+        model, theta, np.maximum(fitted.process_noise * TRUSTING, fitter.floor), fitted.filtered.trajectory
     ).filtered
     surprise = np.minimum((np.asarray(trusting.innovation) / np.asarray(trusting.innovation_std)) ** 2, LOST**2)
     surprise = every * np.maximum(surprise - float(fitted.filtered.noise_scale_sq), 0.0)

@@ -42,6 +42,7 @@ class Logged(NamedTuple):
     starts: Float[Array, " lanes"]  # s, when each begins in its log
     thinning: int = 1  # control periods to one of these samples; delays here are counted in the latter
     loop_samples: int = 1  # of the control to a row, which has the first of them alone
+    command_std: Scalar = 0.0  # N, of its slow part, where it had to be told from the noise of its loop
 
     @property
     def control(self) -> Sampling:

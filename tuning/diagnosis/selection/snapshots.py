@@ -1,51 +1,89 @@
 """How the command of a log acts where its rows are snapshots of a loop that is faster than the log.
 
-The loop holds each of its commands until its next one. Of a row the first is logged; the others are taken from the
+The loop holds each of its commands until its next one. Of a row the first is logged; all of them are taken from the
 cubic through the rows about it (`row_force`). Read as held until the next row, the command would act late by half of
 what a row lasts beyond a sample of the loop, and its change within the row would be a force that the model lacks
 wherever the force changes: no effect of a machine explains that.
 
-A loop answers the noise of its encoder. What it answered at the row's own instant is logged; whether it answers so
-until the next row depends on how it measures its velocity. So the cubic goes through the commands without that noise
-(`command_noise`) or with it, whichever has the drive file's drive follow the logs more likely. What is in no row is a
-force of each row its own, as large as the likelihood has it, and no effect's: `goodness_of_fit.missing_evidence` allows
-it. The instant of a row is known to a sample of its loop: recalibration moves it (`calibration.DELAY`), so that no
-effect is found that is but that.
+A loop answers the noise of its encoder, and what it answered at the row's own instant is logged. So the cubic goes
+through the commands that the law of the loop has (`loop_command`), through those without what looks like noise
+(`command_noise`), or through all of each, whichever has the drive follow the logs more likely. Which that is a drive
+that is far off does not tell: it is recalibrated as they say first, and again where that makes another likelier.
+
+What is in no row is a force of each row its own, as large as the likelihood has it, and no effect's:
+`goodness_of_fit.missing_evidence` allows it. The instant of a row is known to a sample of its loop: recalibration moves
+it (`calibration.DELAY`), so that no effect is found that is but that.
 """
+
+import dataclasses
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffdrive.logs import Log
 from diffdrive.model.parameters import Sampling
-from tuning.diagnosis.fits.fitting import BEGIN, Fitter
+from tuning.diagnosis.fits.fitting import BEGIN, MOST_STEPS, Fitter
 from tuning.diagnosis.hypotheses.calibration import NAMES
-from tuning.diagnosis.hypotheses.model import Logged, Model
+from tuning.diagnosis.hypotheses.model import Logged, Model, Vector
 from tuning.diagnosis.selection.search import initial_trajectory
+from tuning.identification.loop_command import loop_command
+from tuning.identification.padding import padded
+from tuning.identification.problem import lanes_of
 from tuning.identification.row_force import AT_ONCE, NODES, BetweenRows, smooth
 from tuning.identification.snapshots import as_read
 
 
-def likeliest_snapshots(logged: Logged, loop_samples: int) -> Logged:
-    """The same logs, each row being the first of so many samples of its loop; with or without its noise in between."""
+def likeliest_snapshots(logged: Logged, logs: Sequence[Log], loop_samples: int) -> Logged:
+    """The logs, each row being the first of so many samples of its loop, read as a recalibrated drive follows them."""
+    readings = list(_readings(logged, logs, loop_samples))
+    theta = np.zeros(len(NAMES))
+    chosen = _likeliest(readings, theta)
+    for _ in readings[1:]:
+        theta = _recalibrated(readings[chosen], theta)
+        likeliest = _likeliest(readings, theta)
+        if likeliest == chosen:
+            break
+        chosen = likeliest
+    return readings[chosen]
+
+
+def _readings(logged: Logged, logs: Sequence[Log], loop_samples: int) -> list[Logged]:
+    """By the law, where the logs show one; without what looks like noise; as logged."""
     quiet = as_read(logged.lanes, BetweenRows.SMOOTH).command
-    both = [as_snapshots(logged, loop_samples, command) for command in (quiet, logged.lanes.command)]
-    return min(both, key=_cost)
+    readings = [as_snapshots(logged, loop_samples, command) for command in (quiet, logged.lanes.command)]
+    law = loop_command(logs)
+    if law is None:
+        return readings
+    of_law = [dataclasses.replace(log, command=one) for log, one in zip(logs, law.commands, strict=True)]
+    read = as_snapshots(logged, loop_samples, padded(lanes_of(of_law)).command)
+    return [read._replace(command_std=jnp.asarray(law.std)), *readings]
 
 
-def _cost(logged: Logged) -> float:
-    """Of the drive file's drive, under the likeliest forces that it may lack."""
-    fitter, model = Fitter(logged), Model(logged)
-    point = fitter.at(model, np.zeros(len(NAMES)), BEGIN, initial_trajectory(logged))
-    return fitter.with_process(point, model, fitter.first).cost
+def _likeliest(readings: Sequence[Logged], theta: Vector) -> int:
+    """Of a drive that is recalibrated so, under the likeliest forces that it may lack."""
+
+    def cost(logged: Logged) -> float:
+        fitter, model = Fitter(logged), Model(logged)
+        point = fitter.at(model, theta, BEGIN, initial_trajectory(logged))
+        return fitter.with_process(point, model, fitter.first).cost
+
+    return int(np.argmin([cost(one) for one in readings]))
+
+
+def _recalibrated(logged: Logged, theta: Vector) -> Vector:
+    """From `theta`, as these logs say."""
+    return Fitter(logged).minimise(Model(logged), theta, None, initial_trajectory(logged), MOST_STEPS)[0].theta
 
 
 def as_snapshots(logged: Logged, loop_samples: int, command: Float[Array, "lanes n"]) -> Logged:
-    """The same logs, each row being the first of so many samples; those between are of the cubic through `command`."""
+    """The same logs, each row being the first of so many samples, the commands of which are of the cubic through
+    `command`.
+    """
     rate, steps = logged.sampling.rate, logged.sampling.plant_steps
     commands = jax.vmap(lambda rows: within_rows(rows, loop_samples))(command)
-    commands = commands.at[:, :, 0].set(logged.lanes.command)
     return logged._replace(
         lanes=logged.lanes._replace(command=commands.mean(axis=2), period_commands=commands),
         sampling=Sampling(rate, loop_samples * -(-steps // loop_samples)),
