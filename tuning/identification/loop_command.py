@@ -9,8 +9,9 @@ exact (`controller.signals.LOW_PASS`). All of ten thousand rows tell of nine coe
 0.6 N in all.
 
 The integral of the loop collects the noise of its own samples, of which the rows are some: what it holds wanders about
-what they say, as a random walk. That is tracked in what the law leaves of the logged command (the local level model:
-Harvey 1989, 2.3), as far as it is more likely than none.
+what they say, as a random walk. That is tracked in the slow part of what the law leaves of the logged command (the
+local level model: Harvey 1989, 2.3), as far as it is more likely than none. A loop that differences its velocity over
+whole rows has no slow noise in its snapshots: there it is followed as it was logged.
 """
 
 from collections.abc import Sequence
@@ -24,9 +25,9 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter, oaconvolve
 
 from diffdrive.logs import Log
-from tuning.identification.controller.signals import LOW_PASS, pieces
+from tuning.identification.controller.signals import LOW_PASS, SLOW, pieces
 
-FASTEST = 0.5  # of what is left, that a wandering level follows at each row: beyond it is no noise
+APART = SLOW + 1  # rows, from which on `LOW_PASS` of white noise is hardly correlated
 
 
 class LoopCommand(NamedTuple):
@@ -53,13 +54,16 @@ def loop_command(logs: Sequence[Log]) -> LoopCommand | None:
     asked = np.concatenate([np.convolve(one, LOW_PASS, "valid") for one in given])
     law, _, rank, _ = np.linalg.lstsq(slow / scale, asked)
     answers = [one / scale @ law for one in columns]
-    left = [one - answer for one, answer in zip(given, answers, strict=True)]
+    left = [np.convolve(one - answer, LOW_PASS, "valid")[::APART] for one, answer in zip(given, answers, strict=True)]
     gain, variance = _wandering(left)
     commands = [log.command.copy() for log in logs]
     for (k, piece), answer, rest in zip(found, answers, left, strict=True):
-        commands[k][piece] = answer + _level(rest, gain)
-    count = sum(map(len, left))
-    return LoopCommand(commands, float(np.sqrt(variance * (rank / count + gain * (1.0 - gain) / (2.0 - gain)))))
+        at = SLOW + APART * np.arange(len(rest))
+        commands[k][piece] = answer + np.interp(np.arange(len(answer)), at, _level(rest, gain))
+    # of white noise, whose slow part has this variance, a share goes into each coefficient
+    of_law = rank / sum(map(len, answers)) / np.sum(LOW_PASS**2)
+    of_level = gain * (1.0 - gain) / (2.0 - gain)
+    return LoopCommand(commands, float(np.sqrt(variance * (of_law + of_level))))
 
 
 def _signals(log: Log, piece: slice) -> Float[np.ndarray, "n 7"]:
@@ -83,9 +87,9 @@ def _signals(log: Log, piece: slice) -> Float[np.ndarray, "n 7"]:
 
 
 def _wandering(left: Sequence[Float[np.ndarray, " n"]]) -> tuple[float, float]:
-    """By how much of what is left its level follows at each row, and the variance (N^2) of what was not foreseen then.
+    """By how much of what is left its level follows at each step, and the variance (N^2) of what was not foreseen then.
 
-    The level is a random walk beneath white noise: seen from the row before, exponential smoothing foresees it best
+    The level is a random walk beneath white noise: seen from the step before, exponential smoothing foresees it best
     (Muth 1960), and what it misses is white, so that the gain is likeliest that misses least.
     """
     count = sum(map(len, left))
@@ -95,12 +99,12 @@ def _wandering(left: Sequence[Float[np.ndarray, " n"]]) -> tuple[float, float]:
         errors = (lfilter([1.0, -1.0], [1.0, gain - 1.0], one - np.mean(one)) for one in left)
         return sum(float(np.sum(error**2)) for error in errors)
 
-    found = minimize_scalar(missed, bounds=(-np.log(count), np.log(FASTEST)), method="bounded")
+    found = minimize_scalar(missed, bounds=(-np.log(count), 0.0), method="bounded")
     return float(np.exp(found.x)), float(found.fun) / count
 
 
 def _level(left: Float[np.ndarray, " n"], gain: float) -> Float[np.ndarray, " n"]:
-    """The level, from all rows before and after: a walk whose steps cost (1 - gain) / gain^2 of what it misses."""
+    """The level, from all steps before and after: a walk that costs (1 - gain) / gain^2 of what it misses."""
     step = (1.0 - gain) / gain**2
     bands = np.zeros((2, len(left)))
     bands[0, 1:] = -step

@@ -52,6 +52,14 @@ def test_the_slow_force_is_known_far_better_than_rows_tell_it_and_as_well_as_is_
     assert 0.5 < rms(np.array(left)) / rms(np.array(said)) < 1.5
 
 
+def test_a_velocity_over_whole_rows_has_no_slow_noise_and_its_command_is_followed():
+    rows, force = rows_and_forces(replace(NOISY, velocity_samples=SAMPLES), 1)
+    law = loop_command([rows])
+    assert rms(slow(rows.command - law.commands[0])) < 0.3
+    assert law.std < 0.3
+    assert rms(slow(means(law.commands[0]) - force)) < 0.3
+
+
 def test_without_noise_nothing_is_left_to_tell():
     rows, _ = rows_and_forces(replace(NOISY, noise=0.0, resolution=1e-12), 1)
     law = loop_command([rows])

@@ -264,8 +264,9 @@ def uncoupled(fitter: Fitter, base: Fitted) -> Fitted:
 def force_floor(
     fitter: Fitter, fitted: Fitted, counts: Float[np.ndarray, "lanes n"], process_noise: Float[np.ndarray, " 2"]
 ) -> float:
-    """Root mean square (N) of that force over the samples that count."""
-    return rms_of_noise(force_noise(fitter, fitted, process_noise), counts)
+    """Root mean square (N) of that force over the samples that count, and of what is not known of the command."""
+    noise = rms_of_noise(force_noise(fitter, fitted, process_noise), counts)
+    return float(np.hypot(noise, float(fitter.logged.command_std)))
 
 
 def rms_of_noise(force: Float[np.ndarray, "lanes n draws"], counts: Float[np.ndarray, "lanes n"]) -> float:

@@ -33,7 +33,7 @@ class ModelComparison(NamedTuple):
     fitted: Fitted
     force: ForceGap
     interval: tuple[float, float]  # N
-    floor: float  # N: what the measuring noise alone would make of a model that lacks nothing
+    floor: float  # N: what measuring noise, and what is not known of the command, make where nothing is lacking
     shrink: tuple[float, float, float]  # of the mean square of the force against the nominal drive: value, interval
     loop: LoopGap | None
     unlikely: Float[np.ndarray, " pieces"]  # -2 log probability of each piece of what is held out, as `deviance`
