@@ -55,7 +55,7 @@ from tuning.diagnosis.limits.detection import DetectionLimit, detection_limits, 
 from tuning.diagnosis.limits.isolability import Rivalry, rivalries
 from tuning.diagnosis.selection.explain import MOST_EFFECTS, Explanation, evidence_needed, explain
 from tuning.diagnosis.selection.search import Progress, Round, recalibrated
-from tuning.diagnosis.selection.snapshots import likeliest_snapshots
+from tuning.diagnosis.selection.snapshots import read_snapshots
 from tuning.diagnosis.selection.stages import Tell, of_gap, unheard
 from tuning.identification.padding import padded
 from tuning.identification.problem import MIN_LANE_SAMPLES, lanes_of, long_pieces, noise_floor, sampling_of
@@ -128,7 +128,7 @@ def logged_of(drive: Drive, logs: Sequence[Log], loop_samples: int = 1) -> Logge
         lanes = lanes._replace(period_commands=in_parts(lanes.command, sampling.plant_steps))
     starts = jnp.asarray([float(log.time[piece.start] - log.time[0]) for log in logs for piece in long_pieces(log)])
     logged = Logged(as_arrays(drive), delay, padded(lanes), owner, noise, sampling, starts, thinning)
-    return logged if is_fast else likeliest_snapshots(logged, logs, loop_samples)
+    return logged if is_fast else read_snapshots(logged, logs, loop_samples)
 
 
 def diagnose(

@@ -10,8 +10,11 @@ exact (`controller.signals.LOW_PASS`). All of ten thousand rows tell of nine coe
 
 The integral of the loop collects the noise of its own samples, of which the rows are some: what it holds wanders about
 what they say, as a random walk. That is tracked in the slow part of what the law leaves of the logged command (the
-local level model: Harvey 1989, 2.3), as far as it is more likely than none. A loop that differences its velocity over
-whole rows has no slow noise in its snapshots: there it is followed as it was logged.
+local level model: Harvey 1989, 2.3), as far as it is more likely than none.
+
+What no cascade has in its command, a compensation of friction say, is followed likewise, and makes the level quick and
+uncertain. What is left is white where the noise of a snapshot is that of its own instants. A velocity that is
+differenced over whole rows leaves noise of successive rows that cancels, and has no slow part: it acts as logged.
 """
 
 from collections.abc import Sequence
@@ -27,6 +30,7 @@ from scipy.signal import lfilter, oaconvolve
 from diffdrive.logs import Log
 from tuning.identification.controller.signals import LOW_PASS, SLOW, pieces
 
+WHITE = 0.5  # of the slow part of white noise: half way to none
 APART = SLOW + 1  # rows, from which on `LOW_PASS` of white noise is hardly correlated
 
 
@@ -38,7 +42,10 @@ class LoopCommand(NamedTuple):
 
 
 def loop_command(logs: Sequence[Log]) -> LoopCommand | None:
-    """The command of logs of one loop by its law; as logged where it is clipped. None without a reference in each."""
+    """The command of logs of one loop by its law; as logged where that acts, as it does where it is clipped.
+
+    None without a reference in each log.
+    """
     if any(log.reference is None for log in logs):
         return None
     found = [(k, piece) for k, log in enumerate(logs) for piece in pieces(log)]
@@ -54,14 +61,17 @@ def loop_command(logs: Sequence[Log]) -> LoopCommand | None:
     asked = np.concatenate([np.convolve(one, LOW_PASS, "valid") for one in given])
     law, _, rank, _ = np.linalg.lstsq(slow / scale, asked)
     answers = [one / scale @ law for one in columns]
-    left = [np.convolve(one - answer, LOW_PASS, "valid")[::APART] for one, answer in zip(given, answers, strict=True)]
-    gain, variance = _wandering(left)
+    left = [one - answer for one, answer in zip(given, answers, strict=True)]
+    slow_left = [np.convolve(one, LOW_PASS, "valid")[::APART] for one in left]
+    gain, variance = _wandering(slow_left)
+    levels = [_in_rows(_level(one, gain), len(rest)) for one, rest in zip(slow_left, left, strict=True)]
+    noise = np.concatenate([rest - level for rest, level in zip(left, levels, strict=True)])
     commands = [log.command.copy() for log in logs]
-    for (k, piece), answer, rest in zip(found, answers, left, strict=True):
-        at = SLOW + APART * np.arange(len(rest))
-        commands[k][piece] = answer + np.interp(np.arange(len(answer)), at, _level(rest, gain))
+    if variance > WHITE * np.var(noise) * np.sum(LOW_PASS**2):
+        for (k, piece), answer, level in zip(found, answers, levels, strict=True):
+            commands[k][piece] = answer + level
     # of white noise, whose slow part has this variance, a share goes into each coefficient
-    of_law = rank / sum(map(len, answers)) / np.sum(LOW_PASS**2)
+    of_law = rank / len(noise) / np.sum(LOW_PASS**2)
     of_level = gain * (1.0 - gain) / (2.0 - gain)
     return LoopCommand(commands, float(np.sqrt(variance * (of_law + of_level))))
 
@@ -84,6 +94,11 @@ def _signals(log: Log, piece: slice) -> Float[np.ndarray, "n 7"]:
         ],
         axis=1,
     )
+
+
+def _in_rows(level: Float[np.ndarray, " m"], count: int) -> Float[np.ndarray, " n"]:
+    """A slow signal in each row; those at both ends have the nearest value."""
+    return np.interp(np.arange(count), SLOW + APART * np.arange(len(level)), level)
 
 
 def _wandering(left: Sequence[Float[np.ndarray, " n"]]) -> tuple[float, float]:

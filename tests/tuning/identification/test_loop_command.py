@@ -106,3 +106,17 @@ def test_each_side_of_a_gap_has_an_integral_of_its_own():
 def test_a_log_without_a_reference_shows_no_law():
     rows, _ = rows_and_forces(NOISY, 1)
     assert loop_command([rows, replace(rows, reference=None)]) is None
+
+
+@pytest.mark.parametrize("compensation", [20.0, 60.0])
+def test_what_no_cascade_computes_is_followed_and_costs_certainty(compensation):
+    """A compensation of friction: a step of the command at each reversal, which acts."""
+    left, said = [], []
+    for seed in (1, 2):
+        rows, force = rows_and_forces(NOISY, seed)
+        steps = compensation * np.sign(np.gradient(rows.reference))
+        law = loop_command([replace(rows, command=rows.command + steps)])
+        left.append(rms(slow(means(law.commands[0]) - force - steps)))
+        said.append(law.std)
+    assert rms(np.array(said)) > 2.0 * loop_command([rows]).std
+    assert 0.5 < rms(np.array(left)) / rms(np.array(said)) < 1.5

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.ndimage import convolve1d
 
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import ActuatorEffect
@@ -23,6 +24,7 @@ from tuning.diagnosis.gap.gap import sliding
 from tuning.diagnosis.hypotheses.model import delay_of
 from tuning.diagnosis.judgement.verdict import Verdict
 from tuning.diagnosis.selection.explain import Explanation
+from tuning.identification.controller.signals import LOW_PASS
 
 TAPS = 5  # samples, the first of them one sooner than the delay that was found, if that is one or more
 SHARE = 0.1  # of the command that each sample may add, one standard deviation
@@ -39,7 +41,8 @@ def follows_command(fitted: Fitted) -> float:
     its filter, would explain the logs better, to first order and all that is free moved to make way.
 
     Where the table is slow, the counts of its scale are no noise, and the command follows them: it tells nothing, nor
-    where it hardly slides, and its friction may be anything.
+    where it hardly slides, and its friction may be anything. Of snapshots the slow part of the command is known, and it
+    alone is asked: the fast one goes with the noise of the rows, and did not act.
     """
     logged, velocity = fitted.model.logged, np.asarray(fitted.filtered.trajectory.velocity)
     quick = np.abs(velocity) * logged.sampling.period >= QUICK * float(logged.noise)
@@ -99,6 +102,8 @@ def _last_commands(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     actuator, period = logged.drive.actuator, logged.sampling.period
     limited = cast(Array, saturate(actuator, logged.lanes.command))  # of an array, it is one
     command = jax.vmap(lambda requests: mean_forces(actuator, requests, period))(limited)
+    if logged.loop_samples > 1:
+        command = jnp.asarray(convolve1d(command, LOW_PASS, axis=1, mode="nearest"))
     held_back = [max(0, int(late) - 1) + k for k in range(TAPS)]
     count = command.shape[1]
     return jnp.stack([jnp.pad(command, ((0, 0), (k, 0)), mode="edge")[:, :count] for k in held_back], axis=-1)

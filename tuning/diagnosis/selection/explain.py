@@ -133,8 +133,12 @@ class _Search:
         return self.over(base, one), max_prior_deviation(one) >= STRAINED, max_prior_deviation(one) > IMPOSSIBLE
 
     def looked(self, base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
-        """One more effect looked for."""
-        if rounds and self.done(base, before):
+        """One more effect looked for.
+
+        A force within what is not known of the command is no effect's: of a command that had to be told from the noise
+        of its loop, nothing is looked for but what passes for noise of the scale where nothing else is missing.
+        """
+        if (rounds or float(self.fitter.logged.command_std) > 0.0) and self.done(base, before):
             catalogue = [one for one in catalogue if one.noisy]
         elif self.over(base, before):
             catalogue = [one for one in catalogue if one.unseen or (one.twists and self.fitter.twist is not None)]

@@ -6,16 +6,15 @@ what a row lasts beyond a sample of the loop, and its change within the row woul
 wherever the force changes: no effect of a machine explains that.
 
 A loop answers the noise of its encoder, and what it answered at the row's own instant is logged. So the cubic goes
-through the commands that the law of the loop has (`loop_command`), through those without what looks like noise
-(`command_noise`), or through all of each, whichever has the drive follow the logs more likely. Which that is a drive
-that is far off does not tell: it is recalibrated as they say first, and again where that makes another likelier.
+through the commands that the law of the loop has (`loop_command`). Where the logs show none, it goes through the
+commands without what looks like noise (`command_noise`) or with it, whichever has the drive file's drive follow the
+logs more likely.
 
 What is in no row is a force of each row its own, as large as the likelihood has it, and no effect's:
 `goodness_of_fit.missing_evidence` allows it. The instant of a row is known to a sample of its loop: recalibration moves
 it (`calibration.DELAY`), so that no effect is found that is but that.
 """
 
-import dataclasses
 from collections.abc import Sequence
 
 import jax
@@ -25,9 +24,9 @@ from jaxtyping import Array, Float
 
 from diffdrive.logs import Log
 from diffdrive.model.parameters import Sampling
-from tuning.diagnosis.fits.fitting import BEGIN, MOST_STEPS, Fitter
+from tuning.diagnosis.fits.fitting import BEGIN, Fitter
 from tuning.diagnosis.hypotheses.calibration import NAMES
-from tuning.diagnosis.hypotheses.model import Logged, Model, Vector
+from tuning.diagnosis.hypotheses.model import Logged, Model
 from tuning.diagnosis.selection.search import initial_trajectory
 from tuning.identification.loop_command import loop_command
 from tuning.identification.padding import padded
@@ -36,46 +35,22 @@ from tuning.identification.row_force import AT_ONCE, NODES, BetweenRows, smooth
 from tuning.identification.snapshots import as_read
 
 
-def likeliest_snapshots(logged: Logged, logs: Sequence[Log], loop_samples: int) -> Logged:
-    """The logs, each row being the first of so many samples of its loop, read as a recalibrated drive follows them."""
-    readings = list(_readings(logged, logs, loop_samples))
-    theta = np.zeros(len(NAMES))
-    chosen = _likeliest(readings, theta)
-    for _ in readings[1:]:
-        theta = _recalibrated(readings[chosen], theta)
-        likeliest = _likeliest(readings, theta)
-        if likeliest == chosen:
-            break
-        chosen = likeliest
-    return readings[chosen]
-
-
-def _readings(logged: Logged, logs: Sequence[Log], loop_samples: int) -> list[Logged]:
-    """By the law, where the logs show one; without what looks like noise; as logged."""
-    quiet = as_read(logged.lanes, BetweenRows.SMOOTH).command
-    readings = [as_snapshots(logged, loop_samples, command) for command in (quiet, logged.lanes.command)]
+def read_snapshots(logged: Logged, logs: Sequence[Log], loop_samples: int) -> Logged:
+    """The logs, each row being the first of so many samples of its loop."""
     law = loop_command(logs)
     if law is None:
-        return readings
-    of_law = [dataclasses.replace(log, command=one) for log, one in zip(logs, law.commands, strict=True)]
+        quiet = as_read(logged.lanes, BetweenRows.SMOOTH).command
+        return min((as_snapshots(logged, loop_samples, one) for one in (quiet, logged.lanes.command)), key=_cost)
+    of_law = [log.replace(command=one) for log, one in zip(logs, law.commands, strict=True)]
     read = as_snapshots(logged, loop_samples, padded(lanes_of(of_law)).command)
-    return [read._replace(command_std=jnp.asarray(law.std)), *readings]
+    return read._replace(command_std=jnp.asarray(law.std))
 
 
-def _likeliest(readings: Sequence[Logged], theta: Vector) -> int:
-    """Of a drive that is recalibrated so, under the likeliest forces that it may lack."""
-
-    def cost(logged: Logged) -> float:
-        fitter, model = Fitter(logged), Model(logged)
-        point = fitter.at(model, theta, BEGIN, initial_trajectory(logged))
-        return fitter.with_process(point, model, fitter.first).cost
-
-    return int(np.argmin([cost(one) for one in readings]))
-
-
-def _recalibrated(logged: Logged, theta: Vector) -> Vector:
-    """From `theta`, as these logs say."""
-    return Fitter(logged).minimise(Model(logged), theta, None, initial_trajectory(logged), MOST_STEPS)[0].theta
+def _cost(logged: Logged) -> float:
+    """Of the drive file's drive, under the likeliest forces that it may lack."""
+    fitter, model = Fitter(logged), Model(logged)
+    point = fitter.at(model, np.zeros(len(NAMES)), BEGIN, initial_trajectory(logged))
+    return fitter.with_process(point, model, fitter.first).cost
 
 
 def as_snapshots(logged: Logged, loop_samples: int, command: Float[Array, "lanes n"]) -> Logged:
