@@ -13,12 +13,11 @@ No model is right to the last digit: the filter allows it the force that counts 
 """
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.catalogue import EFFECTS
@@ -241,22 +240,28 @@ def deviations(evidence: float, needed: float) -> float:
 
 
 def _of_sizes(fitter: Fitter, fitted: Fitted, candidate: Candidate, needed: float) -> DetectionLimit:
-    """The limit of an effect that is not linear in its size, all else as usual, by sizes that close in on it."""
+    """The limit of an effect that is not linear in its size, all else as usual: the last size, from the strongest on,
+    that brings what is needed, by sizes that close in on it.
+    """
     one, needed = candidate.parameters[0], needed + DEARNESS * len(candidate.parameters)
-    sizes = possible_sizes(candidate)
-    sizes = sizes[::-1] if candidate.weakens else sizes  # from the weakest to the strongest
-    gains = gains_at(fitter, fitted, candidate, sizes)
-    seen = seen_from(gains, needed)
-    size = None if seen == len(sizes) else float(sizes[seen])
-    if size is not None and seen > 0:
-        weak = float(sizes[seen - 1])
-        for _ in range(HALVINGS):
-            middle = 0.5 * (weak + size)
-            if gains_at(fitter, fitted, candidate, [middle])[0] >= needed:
-                size = middle
-            else:
-                weak = middle
+    gain, sizes = gain_of(fitter, fitted, candidate), possible_sizes(candidate)
+    size: float | None = None
+    for value in map(float, sizes if candidate.weakens else sizes[::-1]):
+        if gain(value) >= needed:
+            size = value
+            continue
+        if size is not None:
+            size = _between(value, size, lambda middle: gain(middle) >= needed)
+        break
     return limit_of(fitter, candidate, one.name, None if size is None else one.value(size))
+
+
+def _between(weak: float, strong: float, is_seen: Callable[[float], bool]) -> float:
+    """The least size that is seen, between one that is not and one that is."""
+    for _ in range(HALVINGS):
+        middle = 0.5 * (weak + strong)
+        weak, strong = (weak, middle) if is_seen(middle) else (middle, strong)
+    return strong
 
 
 def possible_sizes(candidate: Candidate) -> Vector:
@@ -276,8 +281,8 @@ def possible_sizes(candidate: Candidate) -> Vector:
     return np.array([size for size in every if _within(candidate, one.name, one.value(size))])
 
 
-def gains_at(fitter: Fitter, fitted: Fitted, candidate: Candidate, sizes: ArrayLike) -> Vector:
-    """What -2 log likelihood falls by with an effect without amplitudes in the log of a machine that has it, at sizes
+def gain_of(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Callable[[float], float]:
+    """What -2 log likelihood falls by with an effect without amplitudes in the log of a machine that has it, by a size
     of its first parameter (in deviations of its prior); beyond what it does where it is `bare`.
     """
     one, logs = candidate.parameters[0], fitted.model.logged.logs
@@ -288,32 +293,27 @@ def gains_at(fitter: Fitter, fitted: Fitted, candidate: Candidate, sizes: ArrayL
         point = fitter.at(model, theta, fitted.process_noise, fitted.filtered.trajectory)
         return point, predicted_twist(model.effects(theta), point.filtered)
 
-    there = fitter.at(fitted.model, fitted.theta, fitted.process_noise, fitted.filtered.trajectory)
-    before = (
-        (there, predicted_twist(fitted.model.effects(fitted.theta), there.filtered))
-        if candidate.bare is None
-        else at(candidate.bare)
-    )
-    gains = []
-    for point, twist in (at(one.value(size)) for size in np.asarray(sizes, float)):
-        gain = float(reduced(fitted, _change(fitter, before[0], point)[:, None]).curvature[0, 0])
+    def without() -> tuple[Point, Float[np.ndarray, "lanes n"]]:
+        there = fitter.at(fitted.model, fitted.theta, fitted.process_noise, fitted.filtered.trajectory)
+        return there, predicted_twist(fitted.model.effects(fitted.theta), there.filtered)
+
+    before, wound = without() if candidate.bare is None else at(candidate.bare)
+
+    def gain(size: float) -> float:
+        point, twist = at(one.value(size))
+        gained = float(reduced(fitted, _change(fitter, before, point)[:, None]).curvature[0, 0])
         if fitter.twist is not None and candidate.twists:
-            seen = seen_by(fitter.twist, twist - before[1], before[1], fitter.logged.sampling.period)
-            gain += float(seen @ seen)
-        gains.append(gain)
-    return np.array(gains)
+            seen = seen_by(fitter.twist, twist - wound, wound, fitter.logged.sampling.period)
+            gained += float(seen @ seen)
+        return gained
+
+    return gain
 
 
 def _change(fitter: Fitter, before: Point, after: Point) -> Vector:
     """Of the residuals; where a filter is lost that was not, by as much as a lost filter counts."""
     (old, kept), (new, still) = fitter.residuals(before), fitter.residuals(after)
     return np.where(kept > 0.0, np.where(still > 0.0, new - old, LOST * kept), 0.0)
-
-
-def seen_from(gains: Float[np.ndarray, " k"], needed: float) -> int:
-    """The first of several sizes, from the weakest to the strongest, from which on all bring what is needed."""
-    weak = np.flatnonzero(~(gains >= needed))
-    return int(weak[-1]) + 1 if weak.size else 0
 
 
 def limit_of(fitter: Fitter, candidate: Candidate, parameter: str, size: float | None) -> DetectionLimit:

@@ -43,3 +43,12 @@ def test_noise_alone_makes_no_more_of_it_than_the_floor_says():
     for process_noise in (np.array([2.0, fitter.least]), np.array([2.0, 2.0]), np.array([2.0, 50.0])):
         gap = force_gap(fitter, fit, fit.model, fit.theta, process_noise)
         assert gap.rms == pytest.approx(force_floor(fitter, fit, gap.counts, process_noise), rel=0.25)
+
+
+@pytest.mark.long
+def test_what_is_not_known_of_the_command_is_in_the_floor():
+    fitter, fit, process_noise = shaken(0.0)
+    counts = force_gap(fitter, fit, fit.model, fit.theta, process_noise).counts
+    unsure = Fitter(fitter.logged._replace(command_std=3.0))
+    known, told = (force_floor(one, fit, counts, process_noise) for one in (fitter, unsure))
+    assert told**2 == pytest.approx(known**2 + 3.0**2)

@@ -19,8 +19,8 @@ from tuning.diagnosis.limits.detection import (
     DetectionLimit,
     amplitude_groups,
     detection_limits,
+    gain_of,
     gain_per_deviation,
-    gains_at,
     small_amounts,
 )
 from tuning.diagnosis.limits.limit_words import limit_says, limits_say
@@ -84,7 +84,7 @@ def test_an_effect_that_is_not_linear_changes_the_innovations_by_its_evidence_at
     first = candidate.parameters[0]
     size = limits[name, first.name].size
     sizes = [first.standard(by * size) for by in (1.0, 2.0, 0.5)]
-    at, above, below = gains_at(fitter, usual(fitter, base), candidate, sizes)
+    at, above, below = map(gain_of(fitter, usual(fitter, base), candidate), sizes)
     needed = LACKING + DEARNESS * len(candidate.parameters)
     assert below < needed <= at < above
     if name == "actuator_lag":
@@ -97,7 +97,7 @@ def test_play_that_is_none_is_no_change(sound):
     fitter, base = sound
     candidate = candidate_of(sound, "backlash")
     bare = candidate.parameters[0].standard(candidate.bare)
-    assert gains_at(fitter, usual(fitter, base), candidate, [bare])[0] == pytest.approx(0.0, abs=1e-9)
+    assert gain_of(fitter, usual(fitter, base), candidate)(bare) == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.long

@@ -4,11 +4,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from diffdrive.controllers import UnknownController
 from experiments.studies.recovery.excitation import identification_motion
 from experiments.studies.recovery.truth import truth_log
 from tests.support.known_machine import GAINS, MACHINE
 from tests.support.slow_trace import every
-from tuning.diagnosis.diagnose import logged_of
+from tuning.diagnosis.diagnose import diagnose, logged_of
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
     LACKING,
@@ -62,6 +63,19 @@ def test_a_sound_machine_lacks_nothing_but_in_rows_that_are_read_as_held(log):
     assert missing_evidence(*held) > 100.0 * LACKING
     assert is_complete(*read)
     assert max_prior_deviation(read[1]) < STRAINED
+
+
+@pytest.mark.long
+def test_no_force_within_what_is_not_known_of_the_command_is_any_effects(log):
+    """The filter may always lack so much, and a sound machine is told to lack nothing: no force is looked for."""
+    rows = [every(one, SAMPLES) for one in (log, truth_log(MACHINE, GAINS, identification_motion(RATE), 0.0, seed=4))]
+    logged = logged_of(MACHINE, rows, SAMPLES)
+    assert logged.command_std > 0.01  # N
+    base = recalibrated(Fitter(logged), TOLERANCE)
+    assert base.process_noise[0] >= logged.command_std
+    told = diagnose(MACHINE, UnknownController(), rows, loop_samples=SAMPLES).verdict
+    assert told.verdict == "none"
+    assert not [one for one in told.beliefs if one.found]
 
 
 @pytest.mark.long
