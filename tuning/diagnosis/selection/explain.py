@@ -135,13 +135,20 @@ class _Search:
     def looked(self, base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
         """One more effect looked for.
 
-        A force within what is not known of the command is no effect's: of a command that had to be told from the noise
-        of its loop, nothing is looked for but what passes for noise of the scale where nothing else is missing.
+        Of a command that had to be told from the noise of its loop, no force that passes for a moved number is looked
+        for where nothing is missing: within what is not known of the command, it is no effect's.
         """
-        if (rounds or float(self.fitter.logged.command_std) > 0.0) and self.done(base, before):
+        done = self.done(base, before)
+        moved = not done or float(before.model.logged.command_std) == 0.0
+
+        def may_hide(one: Candidate) -> bool:
+            seen_beside = one.twists and self.fitter.twist is not None
+            return seen_beside or (one.unseen and (moved or not one.relieves))
+
+        if rounds and done:
             catalogue = [one for one in catalogue if one.noisy]
         elif self.over(base, before):
-            catalogue = [one for one in catalogue if one.unseen or (one.twists and self.fitter.twist is not None)]
+            catalogue = [one for one in catalogue if may_hide(one)]
         known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
         found = select_next_effect(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
         self.tell(of_round(self.weighed(base, found)))

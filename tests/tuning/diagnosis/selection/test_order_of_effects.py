@@ -172,7 +172,7 @@ def test_what_a_fit_lacks_does_not_depend_on_where_its_effects_were_stepped():
         cost=3.0,
         filtered=SimpleNamespace(trajectory=5.0),
     )
-    logged = SimpleNamespace(sampling=Sampling(1e3, 10), loop_samples=1)
+    logged = SimpleNamespace(sampling=Sampling(1e3, 10), loop_samples=1, command_std=0.0)
     assert missing_evidence(SimpleNamespace(at=at, logged=logged), fitted) == 7.0
 
 
@@ -198,7 +198,7 @@ def test_between_snapshots_a_sudden_force_is_none_that_a_model_lacks():
         filtered=filtered,
     )
     for samples, lacks in ((1, 50.0), (4, 3.0)):
-        logged = SimpleNamespace(sampling=Sampling(1e3, 10), loop_samples=samples)
+        logged = SimpleNamespace(sampling=Sampling(1e3, 10), loop_samples=samples, command_std=0.0)
         fitter = SimpleNamespace(at=at, with_process=with_process, logged=logged, least=1e-3)
         assert missing_evidence(fitter, fitted) == lacks
 
@@ -260,9 +260,12 @@ def test_where_going_on_leaves_nothing_no_more_is_looked_for(monkeypatch):
     assert looks == [everything, everything, ["lead_error"]]  # which may pass for noise
 
 
+@pytest.mark.parametrize("command_std", [0.0, 0.3])
 @pytest.mark.parametrize("twist", [None, 1.0])
-def test_what_a_second_encoder_would_see_is_looked_for_though_the_first_misses_nothing(monkeypatch, twist):
-    looked = []
+def test_what_a_second_encoder_would_see_is_looked_for_though_the_first_misses_nothing(monkeypatch, twist, command_std):
+    """And what passes for a moved number, unless it may be what is not known of the command."""
+    looked, base = [], fake_fit(evidence=0.0)
+    base.model.logged.command_std = command_std
 
     def look(fitter, before, few, *_):
         looked.extend(few)
@@ -270,9 +273,9 @@ def test_what_a_second_encoder_would_see_is_looked_for_though_the_first_misses_n
 
     monkeypatch.setattr(explain, "select_next_effect", look)
     monkeypatch.setattr(explain, "is_complete", lambda *_: True)
-    explain.explain(SimpleNamespace(twist=twist), fake_fit(evidence=0.0), candidates(AXIS), lambda *_: None)
+    explain.explain(SimpleNamespace(twist=twist), base, candidates(AXIS), lambda *_: None)
     names = {one.name for one in looked}
-    assert "constant_force" in names
+    assert ("constant_force" in names) == (command_std == 0.0)
     assert names.isdisjoint({"cogging", "loop_delay", "friction_dwell"})
     assert {"lead_error", "interpolation_error"} <= names  # they pass for noise of the scale
     screws = {"compliance", "backlash"}
