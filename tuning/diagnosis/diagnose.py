@@ -29,7 +29,7 @@ from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import LACKING, SLIDING, is_complete, is_plausible, largest_deviation_says
 from tuning.diagnosis.fits.reference_noise import reference_process_noise
 from tuning.diagnosis.gap.dependence import Dependence, dependences
-from tuning.diagnosis.gap.gap import ForceGap, force_gap, force_noise, rms_of_noise, uncoupled
+from tuning.diagnosis.gap.gap import ForceGap, floor_of, force_gap, force_noise, uncoupled
 from tuning.diagnosis.gap.laps import Laps, laps
 from tuning.diagnosis.gap.splitting import Split
 from tuning.diagnosis.gap.where import Region, localise
@@ -208,17 +208,19 @@ class _MissingForce(NamedTuple):
 
     gap: ForceGap
     noise: Float[np.ndarray, "lanes n draws"]  # N
+    command_std: float  # N
 
     @property
     def floor(self) -> float:
-        """Root mean square (N) of the noise, over the samples that count."""
-        return rms_of_noise(self.noise, self.gap.counts)
+        """Root mean square (N) of the noise, over the samples that count, and of what is not known of the command."""
+        return floor_of(self.noise, self.gap.counts, self.command_std)
 
 
 def _missing_force(fitter: Fitter, base: Fitted) -> _MissingForce:
     trusting = reference_process_noise(fitter, base)
     gap = force_gap(fitter, base, base.model, base.theta, trusting)
-    return _MissingForce(gap, force_noise(fitter, uncoupled(fitter, base), trusting))
+    noise = force_noise(fitter, uncoupled(fitter, base), trusting)
+    return _MissingForce(gap, noise, float(fitter.logged.command_std))
 
 
 def _located(logged: Logged, missing: _MissingForce, lead: float | None, others: Sequence[Region]) -> list[Region]:

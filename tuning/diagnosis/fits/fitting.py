@@ -241,7 +241,7 @@ class Fitter:
         point, steps = self._down(model, point, most, free, BOLDNESS)
         if steps == most:
             return point, steps
-        lasts = point.process_noise[0] >= MISSED
+        lasts = point.process_noise[0] > max(MISSED, self.floor[0])
         other = self.with_process(point, model, self.first if lasts else self.quiet(point.process_noise))
         if point.cost - other.cost < ENOUGH:
             return point, steps

@@ -34,7 +34,7 @@ SLIDING = tuple(name for name in NAMES if name.split(".")[0] in _SLIDING)
 def relevant_forces(fitter: Fitter, fitted: Fitted) -> Float[np.ndarray, " 2"]:
     """Process forces (N) that are allowed to any model: lasting, and sudden ones that come to as much over as long.
 
-    A lasting one is as large as what is known of the command, beside that.
+    To a lasting one comes what is not known of the command.
     """
     friction = float(coulomb(fitted.recalibrated_drive.friction, 1.0, 0.0))
     relevant = np.hypot(RELEVANT * friction, float(fitter.logged.command_std))

@@ -42,7 +42,8 @@ def lost_share(fitter: Fitter, fitted: Fitted, process_noise: Forces) -> float:
 def least_trusted(fitter: Fitter) -> Forces:
     """The process forces (N) of a filter that trusts every model to a small share of the friction."""
     logged = fitter.logged
-    return np.array([TRUSTED * setting(logged.drive, logged.lanes, logged.sampling.period).friction, fitter.least])
+    friction = setting(logged.drive, logged.lanes, logged.sampling.period).friction
+    return np.maximum([TRUSTED * friction, fitter.least], fitter.floor)
 
 
 def least_following(fitter: Fitter, fitted: Fitted) -> Forces | None:

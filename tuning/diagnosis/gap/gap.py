@@ -265,10 +265,12 @@ def force_floor(
     fitter: Fitter, fitted: Fitted, counts: Float[np.ndarray, "lanes n"], process_noise: Float[np.ndarray, " 2"]
 ) -> float:
     """Root mean square (N) of that force over the samples that count, and of what is not known of the command."""
-    noise = rms_of_noise(force_noise(fitter, fitted, process_noise), counts)
-    return float(np.hypot(noise, float(fitter.logged.command_std)))
+    return floor_of(force_noise(fitter, fitted, process_noise), counts, float(fitter.logged.command_std))
 
 
-def rms_of_noise(force: Float[np.ndarray, "lanes n draws"], counts: Float[np.ndarray, "lanes n"]) -> float:
-    """Root mean square (N) of `force_noise` over the samples that count."""
-    return float(np.sqrt(np.sum(force**2 * counts[..., None]) / max(NOISES * counts.sum(), 1.0)))
+def floor_of(
+    noise: Float[np.ndarray, "lanes n draws"], counts: Float[np.ndarray, "lanes n"], command_std: float
+) -> float:
+    """Root mean square (N) of `force_noise` over the samples that count, and of what is not known of the command."""
+    square = np.sum(noise**2 * counts[..., None]) / max(NOISES * counts.sum(), 1.0)
+    return float(np.hypot(np.sqrt(square), command_std))

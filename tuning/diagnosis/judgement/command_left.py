@@ -41,8 +41,8 @@ def follows_command(fitted: Fitted) -> float:
     its filter, would explain the logs better, to first order and all that is free moved to make way.
 
     Where the table is slow, the counts of its scale are no noise, and the command follows them: it tells nothing, nor
-    where it hardly slides, and its friction may be anything. Of snapshots the slow part of the command is known, and it
-    alone is asked: the fast one goes with the noise of the rows, and did not act.
+    where it hardly slides, and its friction may be anything. Of a command that had to be told from its loop's noise the
+    slow part alone is asked: the fast one goes with the noise of the rows, and did not act.
     """
     logged, velocity = fitted.model.logged, np.asarray(fitted.filtered.trajectory.velocity)
     quick = np.abs(velocity) * logged.sampling.period >= QUICK * float(logged.noise)
@@ -102,7 +102,7 @@ def _last_commands(fitted: Fitted) -> Float[Array, "lanes n taps"]:
     actuator, period = logged.drive.actuator, logged.sampling.period
     limited = cast(Array, saturate(actuator, logged.lanes.command))  # of an array, it is one
     command = jax.vmap(lambda requests: mean_forces(actuator, requests, period))(limited)
-    if logged.loop_samples > 1:
+    if float(logged.command_std) > 0.0:
         command = jnp.asarray(convolve1d(command, LOW_PASS, axis=1, mode="nearest"))
     held_back = [max(0, int(late) - 1) + k for k in range(TAPS)]
     count = command.shape[1]
