@@ -30,7 +30,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter, oaconvolve
 
 from diffdrive.logs import Log
-from tuning.identification.controller.signals import LOW_PASS, NOISE, NORMAL_MEDIAN, SLOW, pieces
+from tuning.identification.controller.signals import LOW_PASS, SLOW, pieces, row_noise
 
 WHITE = 0.5  # of the slow part of white noise: half way to none
 APART = SLOW + 1  # rows, from which on `LOW_PASS` of white noise is little correlated (0.17)
@@ -63,7 +63,7 @@ def loop_command(logs: Sequence[Log]) -> LoopCommand | None:
     owner = np.array([k for k, _ in found])
     answers, coefficients = _likeliest_answers(signals, given, owner)
     slow_left = [_slow(one - answer)[::APART] for one, answer in zip(given, answers, strict=True)]
-    noise, commands = _noise(given), [log.command.copy() for log in logs]
+    noise, commands = row_noise(given), [log.command.copy() for log in logs]
     unforeseen = _wandering(slow_left)[1]
     if unforeseen <= WHITE * noise**2 * WHITE_SLOW:
         return LoopCommand(commands, float(np.sqrt(unforeseen)))
@@ -128,12 +128,6 @@ def _answers(signals: Sequence[Rows], given: Sequence[Signal]) -> tuple[list[Sig
 
 def _slow(signal: Signal) -> Signal:
     return np.convolve(signal, LOW_PASS, "valid")
-
-
-def _noise(commands: Sequence[Signal]) -> float:
-    """Standard deviation (N) of what differs from row to row, by the median, which motion hardly moves."""
-    left = np.concatenate([np.convolve(one, NOISE, "valid") for one in commands])
-    return float(np.median(np.abs(left)) / NORMAL_MEDIAN / np.linalg.norm(NOISE))
 
 
 def _in_rows(level: Float[np.ndarray, " m"], count: int) -> Signal:

@@ -209,8 +209,13 @@ def integral(signal: Float[np.ndarray, " n"], period: float) -> Float[np.ndarray
 
 
 def position_noise(log: Log, found: Sequence[slice]) -> float:
-    """Standard deviation of the noise of a position (m), by the median, which motion hardly moves."""
-    left = np.concatenate([np.convolve(log.position[piece], NOISE, "valid") for piece in found])
+    """Standard deviation of the noise of a position (m)."""
+    return row_noise([log.position[piece] for piece in found])
+
+
+def row_noise(stretches: Sequence[Float[np.ndarray, " n"]]) -> float:
+    """Standard deviation of what differs from row to row of a signal, by the median, which motion hardly moves."""
+    left = np.concatenate([np.convolve(one, NOISE, "valid") for one in stretches])
     return float(np.median(np.abs(left)) / NORMAL_MEDIAN / np.linalg.norm(NOISE))
 
 
