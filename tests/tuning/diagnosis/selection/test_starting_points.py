@@ -57,15 +57,6 @@ def test_the_period_of_a_scales_error_is_seen_in_what_it_passes_for(name, parame
     assert _off(name, parameter, period, POSITION, force, noise) < 0.25  # turns over the travel: a fit finds the rest
 
 
-def test_a_long_period_is_seen_beside_many_short_ones_that_stand_out_further():
-    """A motor's cogging, in ten times as much noise, where places shake the table at short periods."""
-    short = sum(np.cos(2 * np.pi * POSITION / period) for period in np.geomspace(6e-5, 9e-5, 8))
-    wave = 2.0 * np.cos(2 * np.pi * POSITION / 3.3333e-3)
-    noise = 20.0 * np.random.default_rng(1).standard_normal(wave.shape)
-    still = np.zeros_like(wave)
-    assert _off("cogging", "period", 3.3333e-3, POSITION, wave + 5.0 * short + noise, still) < 0.25
-
-
 @pytest.mark.parametrize("period", [2.35e-5, 8.79e-6, 3.3e-6])
 def test_the_period_of_a_scales_error_is_seen_where_the_table_goes_through_many_a_sample(period):
     """The filter shows nothing of it: at 80 mm/s, 3.4 to 24 periods go by in a sample of 1 ms."""
