@@ -1,4 +1,4 @@
-"""Waves by their own period: what is hardly more than its second harmonic is a wave of half the period."""
+"""Waves by their own period: what is above all a harmonic of a longer wave is a wave of that harmonic's period."""
 
 import numpy as np
 
@@ -6,28 +6,31 @@ from diffdrive.effects.forces import Cogging, ProcessForce
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.model import Vector
 
-ROOTS = {Cogging: ("period", 0.5), ProcessForce: ("frequency", 2.0)}  # what is to be halved, or doubled
-ORDERS = ("", "2", "6")  # harmonics, as the names of their amplitudes end
-PURE = 0.1  # of the second harmonic, that all others may be where it stands for all
+RATES = {Cogging: ("period", -1.0), ProcessForce: ("frequency", 1.0)}  # a harmonic's own, as its order to a power
+ORDERS = {"": 1.0, "2": 2.0, "6": 6.0}  # of the harmonics, by how the names of their amplitudes end
 
 Values = dict[str, Vector]
 
 
 def at_its_root(candidate: Candidate, values: Values) -> Values:
-    """The same wave as an engineer would call it: not the second harmonic of a ripple every other turn of the screw
-    but one every turn. What is no such wave stays as it is.
+    """The strongest harmonic of a wave, told as an engineer would call it: not the second harmonic of a ripple every
+    other turn of the screw but one every turn. Whether the others have to be there too is for a fit to say. What has
+    no stronger harmonic than its first stays as it is.
     """
-    known = ROOTS.get(candidate.effect)
-    if known is None:
+    if candidate.effect not in RATES:
         return values
-    sizes = {order: float(np.max(np.hypot(*_wave(values, order)))) for order in ORDERS if f"cosine{order}" in values}
-    second = sizes.pop("2")
-    if max(sizes.values()) > PURE * second:
+    strongest = max((order for order in ORDERS if f"cosine{order}" in values), key=lambda order: _size(values, order))
+    if strongest == "":
         return values
-    name, factor = known
+    name, power = RATES[candidate.effect]
     gone = {key: 0.0 * value for key, value in values.items() if key.startswith(("cosine", "sine"))}
-    cosine, sine = _wave(values, "2")
-    return values | gone | {name: factor * values[name], "cosine": cosine, "sine": sine}
+    cosine, sine = _wave(values, strongest)
+    return values | gone | {name: ORDERS[strongest] ** power * values[name], "cosine": cosine, "sine": sine}
+
+
+def _size(values: Values, order: str) -> float:
+    """The largest amplitude of a harmonic in any log."""
+    return float(np.max(np.hypot(*_wave(values, order))))
 
 
 def _wave(values: Values, order: str) -> tuple[Vector, Vector]:

@@ -3,6 +3,8 @@
 A grid fine enough for every line, and for times that differ from log to log, would be too large.
 """
 
+import itertools
+
 import numpy as np
 from jaxtyping import Float
 from scipy.signal import savgol_filter
@@ -89,6 +91,13 @@ def _unsmooth(position: Float[np.ndarray, "lanes n"]) -> Float[np.ndarray, "lane
     return position - savgol_filter(position, SMOOTH, PARABOLA, axis=1)
 
 
+def _decades(low: float, high: float) -> Float[np.ndarray, " k"]:
+    """About a decade from one to the next: of all periods together most are short, and most of what stands out by
+    chance is.
+    """
+    return np.geomspace(low, high, max(1, round(np.log10(high / low))) + 1)
+
+
 def starting_points(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.ndarray]]:
     """The candidate's grid, or where the lines are: each parameter one value for each log."""
     logged = fitted.model.logged
@@ -100,7 +109,8 @@ def starting_points(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.n
     if candidate.effect is Cogging:
         known = [one.get("period", 1e-3) for one in candidate.grid]
         position, counts = np.asarray(fitted.filtered.trajectory.position), np.asarray(logged.lanes.counts)
-        lines = lines_in_position(missing_force(fitted), position, counts, min(known), max(known))
+        force, edges = missing_force(fitted), _decades(min(known), max(known))
+        lines = [one for ends in itertools.pairwise(edges) for one in lines_in_position(force, position, counts, *ends)]
         found = [one.value for one in lines] or list(np.geomspace(min(known), max(known), 4))
         return [{"period": everywhere(k * p)} for p in found for k in (1.0, 2.0)]
     if candidate.effect in SCALES:

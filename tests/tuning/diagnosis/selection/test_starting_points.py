@@ -57,6 +57,15 @@ def test_the_period_of_a_scales_error_is_seen_in_what_it_passes_for(name, parame
     assert _off(name, parameter, period, POSITION, force, noise) < 0.25  # turns over the travel: a fit finds the rest
 
 
+def test_a_long_period_is_seen_beside_many_short_ones_that_stand_out_further():
+    """A motor's cogging, in ten times as much noise, where places shake the table at short periods."""
+    short = sum(np.cos(2 * np.pi * POSITION / period) for period in np.geomspace(6e-5, 9e-5, 8))
+    wave = 2.0 * np.cos(2 * np.pi * POSITION / 3.3333e-3)
+    noise = 20.0 * np.random.default_rng(1).standard_normal(wave.shape)
+    still = np.zeros_like(wave)
+    assert _off("cogging", "period", 3.3333e-3, POSITION, wave + 5.0 * short + noise, still) < 0.25
+
+
 @pytest.mark.parametrize("period", [2.35e-5, 8.79e-6, 3.3e-6])
 def test_the_period_of_a_scales_error_is_seen_where_the_table_goes_through_many_a_sample(period):
     """The filter shows nothing of it: at 80 mm/s, 3.4 to 24 periods go by in a sample of 1 ms."""
@@ -66,24 +75,32 @@ def test_the_period_of_a_scales_error_is_seen_where_the_table_goes_through_many_
     assert _off("interpolation_error", "period", period, measured, flat, flat) < 0.25
 
 
-@pytest.mark.parametrize("name", ["cogging", "process_force"])
-@pytest.mark.parametrize(("first", "alone"), [(1e-3, True), (1.0, False)])
-def test_a_wave_that_is_all_second_harmonic_is_named_by_its_own_period(name, first, alone):
+@pytest.mark.parametrize(("name", "order"), [("cogging", 2), ("cogging", 6), ("process_force", 2)])
+def test_a_wave_that_is_above_all_a_harmonic_is_told_by_its_own_period(name, order):
     candidate = next(one for one in candidates(SETTING) if one.name == name)
-    of, factor = {"cogging": ("period", 0.5), "process_force": ("frequency", 2.0)}[name]
+    of, power = {"cogging": ("period", -1.0), "process_force": ("frequency", 1.0)}[name]
     values = {one.name: np.zeros(2) for one in candidate.parameters} | {of: np.array([0.04, 0.04])}
-    values |= {"cosine": np.array([0.0, first]), "cosine2": np.array([3.0, 2.0]), "sine2": np.array([4.0, -3.0])}
+    values |= {"cosine": np.array([0.0, 1e-3])}
+    values |= {f"cosine{order}": np.array([3.0, 2.0]), f"sine{order}": np.array([4.0, -3.0])}
     found = at_its_root(candidate, values)
 
     def wave(one, at):
         turned = 2.0 * np.pi * (at / one[of] if of == "period" else at * one[of])
-        first = one["cosine"] * np.cos(turned) + one["sine"] * np.sin(turned)
-        return first + one["cosine2"] * np.cos(2.0 * turned) + one["sine2"] * np.sin(2.0 * turned)
+        orders = ("", "2", "6") if "cosine6" in one else ("", "2")
+        parts = ((one[f"cosine{k}"], one[f"sine{k}"], float(k or 1)) for k in orders)
+        return sum(cosine * np.cos(k * turned) + sine * np.sin(k * turned) for cosine, sine, k in parts)
 
-    assert found[of] == pytest.approx(np.full(2, (factor if alone else 1.0) * 0.04))
+    assert found[of] == pytest.approx(np.full(2, order**power * 0.04))
     for at in (0.0, 0.013, 0.3):
         assert wave(found, at) == pytest.approx(wave(values, at), abs=2e-3)
     assert found.keys() == values.keys()
+
+
+def test_a_wave_whose_first_harmonic_is_its_strongest_stays_as_it_is():
+    candidate = next(one for one in candidates(SETTING) if one.name == "cogging")
+    values = {one.name: np.zeros(1) for one in candidate.parameters} | {"period": np.array([0.04])}
+    values |= {"sine": np.array([3.0]), "cosine2": np.array([2.9]), "sine6": np.array([-1.0])}
+    assert at_its_root(candidate, values) is values
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
