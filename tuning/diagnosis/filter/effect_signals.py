@@ -106,7 +106,10 @@ def effect_signals(
 
         count = jnp.arange(len(asked), dtype=asked.dtype)
         signals = (count, trajectory, asked, lane.disturbance, lane.load)
-        return lax.scan(step, stages.initial_states(effects, asked[0, 0]), signals)[1]
+        states = stages.initial_states(effects, asked[0, 0])
+        if not jax.tree.leaves(states):  # what remembers nothing is the same sample by sample, and all at once
+            return jax.vmap(lambda at: step(states, at)[1])(signals)
+        return lax.scan(step, states, signals)[1]
 
     return lax.map(lambda each: one(*each), (lanes, trajectory, effects, starts))
 
