@@ -12,7 +12,7 @@ velocity at which a substep evaluates its friction is predicted by the balance o
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -121,17 +121,29 @@ class _SubstepState(NamedTuple):
 
 
 def _begin(plant: _PlantUnderLoad, state: PlantState, push: Scalar) -> _SubstepState:
-    predicted = _balance(plant, state.velocity, state.bristle).mean_velocity(state, push)
+    return _begin_under(_balance(plant, state.velocity, state.bristle), state, push)
+
+
+def _begin_under(balance: _Balance, state: PlantState, push: Scalar) -> _SubstepState:
+    """Linear in the state and the push."""
+    predicted = balance.mean_velocity(state, push)
     return _SubstepState(state, predicted, predicted)
 
 
 def _substep(plant: _PlantUnderLoad, current: _SubstepState, push: Scalar, push_ahead: Scalar) -> _SubstepState:
     """One substep; `push_ahead` is the push of the next one."""
-    state, predicted, friction_velocity = current
-    balance = _balance(plant, friction_velocity, state.bristle)
+    balance = _balance(plant, current.friction_velocity, current.state.bristle)
+    return _substep_under(balance, plant.step, current, push, push_ahead)
+
+
+def _substep_under(
+    balance: _Balance, step: Scalar, current: _SubstepState, push: Scalar, push_ahead: Scalar
+) -> _SubstepState:
+    """Linear in the state and the pushes: a substep is nonlinear in the velocity of its friction alone."""
+    state, predicted, _ = current
     mean = once(balance.mean_velocity(state, push))
     ahead = PlantState(
-        position=state.position + plant.step * mean,
+        position=state.position + step * mean,
         velocity=2.0 * mean - state.velocity,
         bristle=balance.deflection_share * state.bristle + balance.deflection_per_velocity * mean,
     )
@@ -203,22 +215,42 @@ def advance_with_tangents(
     )
 
     def linearised(
-        function: Callable[..., _SubstepState], point: tuple[PyTree, ...], tangents: Sequence[tuple[PyTree, ...]]
+        friction_velocity: Scalar,
+        bristle: Scalar,
+        under: Callable[..., _SubstepState],
+        point: tuple[PyTree, ...],
+        tangents: Sequence[tuple[Scalar, tuple[PyTree, ...]]],
     ) -> tuple[_SubstepState, tuple[_SubstepState, ...]]:
-        value, slope = jax.linearize(function, *point)
-        return value, tuple(slope(*tangent) for tangent in tangents)
+        """What is linear once the balance is known, and its tangents, each with that of the friction's velocity."""
+
+        def at(velocity: Scalar) -> tuple[_SubstepState, _Balance]:
+            balance = _balance(plant, velocity, bristle)
+            return under(balance, *point), balance
+
+        value, slope, balance = jax.jvp(at, (friction_velocity,), (jnp.ones_like(friction_velocity),), has_aux=True)
+        return value, tuple(
+            jax.tree.map(lambda linear, by_friction: linear + turned * by_friction, under(balance, *tangent), slope)  # noqa: B023
+            for turned, tangent in tangents
+        )
+
+    def substep_under(balance: _Balance, *point: Any) -> _SubstepState:
+        return _substep_under(balance, plant.step, *point)
 
     def body(carry: PyTree, ripple_push: tuple[Scalar, Scalar] | None) -> tuple[PyTree, None]:
         current, tangents = carry
         ahead = [
-            (tangent, push_tangent, push_tangent) for tangent, push_tangent in zip(tangents, push_tangents, strict=True)
+            (tangent.friction_velocity, (tangent, push_tangent, push_tangent))
+            for tangent, push_tangent in zip(tangents, push_tangents, strict=True)
         ]
-        return linearised(lambda *now: _substep(plant, *now), (current, *_pushes(push, ripple_push)), ahead), None
+        point = (current, *_pushes(push, ripple_push))
+        return linearised(current.friction_velocity, current.state.bristle, substep_under, point, ahead), None
 
     initial_tangents = [
-        (state, push_tangent) for (state, _), push_tangent in zip(directions, push_tangents, strict=True)
+        (state.velocity, (state, push_tangent))
+        for (state, _), push_tangent in zip(directions, push_tangents, strict=True)
     ]
-    begin = linearised(lambda *now: _begin(plant, *now), (state, _first_push(push, ripple_pushes)), initial_tangents)
+    first = (state, _first_push(push, ripple_pushes))
+    begin = linearised(state.velocity, state.bristle, _begin_under, first, initial_tangents)
     (current, tangents), _ = lax.scan(body, begin, ripple_pushes, length=substeps)
     return current.state, [tangent.state for tangent in tangents]
 
