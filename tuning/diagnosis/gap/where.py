@@ -25,6 +25,7 @@ from tuning.identification.prediction import Lanes
 from tuning.identification.shown_motion import SLOWEST
 
 LAID = 4000  # times that the energy is laid elsewhere: a single region must stand out from some forty
+TOGETHER = 2**20  # cells that are laid out anew at once
 PIECE, CELL = 0.25, 5e-3  # s: what is laid together, and what is told apart within it
 SETTLING = 0.05  # s about a change of direction that count as the reversal
 STEADY = 0.15  # of the largest acceleration, below which a motion is a cruise
@@ -144,9 +145,10 @@ def _shares(
     observed, as_well = inside @ cells, np.zeros(len(asked))
     piece = np.arange(len(cells)) // max(1, round(PIECE / CELL))
     room = np.random.default_rng(seed)
-    for _ in range(LAID):
-        order = np.argsort(room.random(piece[-1] + 1)[piece], kind="stable")
-        as_well += inside @ np.roll(cells, room.integers(len(cells)))[order] >= observed * (1.0 - 1e-9)
+    for laid in np.diff(np.r_[0 : LAID : max(1, TOGETHER // len(cells)), LAID]):
+        order = np.argsort(room.random((laid, piece[-1] + 1))[:, piece], axis=1, kind="stable")
+        turned = (order + room.integers(len(cells), size=(laid, 1))) % len(cells)
+        as_well += np.sum(inside @ cells[turned].T >= observed[:, None] * (1.0 - 1e-9), axis=1)
     found = []
     for one, chance in zip(asked, (1 + as_well) / (1 + LAID), strict=True):
         here = one.inside[counted]
