@@ -136,7 +136,7 @@ def select_next_effect(
     there = [member.candidate for member in before.model.members]
     apart = [one for one in catalogue if not any(one.excludes(other) for other in there)]
     few, searched = [one for one in apart if not one.searched], [one for one in apart if one.searched]
-    screened, fits = _race(fitter, before, few, progress, known)
+    screened, fits = _race(fitter, before, few, progress, known, left)
     fits = refit_rivals(fitter, fits)
     believed = None
     if max_prior_deviation(before) > IMPOSSIBLE and not (
@@ -147,7 +147,7 @@ def select_next_effect(
         fits = refit_rivals(fitter, [*fits, *more])
     gains = fits and before.evidence - fits[0].evidence > SETTLED
     if not (gains and is_sufficient(fits[0], left) and max_prior_deviation(fits[0]) < IMPOSSIBLE):
-        also, further = _race(fitter, before, searched, progress, known)
+        also, further = _race(fitter, before, searched, progress, known, left)
         further += simpler(fitter, before, further, searched)
         screened, fits = screened + also, refit_rivals(fitter, _again(fitter, before, fits + further, left))
     screened.sort(key=lambda one: -one.evidence)
@@ -230,9 +230,18 @@ def apart_from(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
 
 
 def _race(
-    fitter: Fitter, before: Fitted, catalogue: Sequence[Candidate], progress: Progress, known: Sequence[Fitted]
+    fitter: Fitter,
+    before: Fitted,
+    catalogue: Sequence[Candidate],
+    progress: Progress,
+    known: Sequence[Fitted],
+    left: Callable[[Fitted], float],
 ) -> tuple[list[Screened], list[Fitted]]:
-    """Screened, best first, and the promising ones fitted, best first: a few steps each, the best to the end."""
+    """Screened, best first, and the promising ones fitted, best first: a few steps each, the best to the end.
+
+    Those that would explain not half as much as the best wait for its fit: where that explains everything, none of
+    them will do as well.
+    """
     screened = in_parallel(
         lambda one: _screened(fitter, before, one), catalogue, lambda k: progress("screening", k, len(catalogue))
     )
@@ -240,17 +249,30 @@ def _race(
     promising = _promising(screened)
     promising += _bringing_back(before, known, apart_from(_likeliest(screened), promising))
     alone = {one.model.members[-1].candidate.kind: one for one in known}
-    begun = in_parallel(
-        lambda one: fit_from(fitter, before, one, RACE, alone.get(one.candidate.kind)),
-        sorted(promising, key=lambda one: not one.candidate.coupled),  # what takes longest first
-        lambda k: progress("fitting", k, 2 * len(promising)),
-    )
-    begun = _best_of_each(begun, _name)
+
+    def fitted(some: Sequence[Screened], done: int) -> list[Fitted]:
+        return in_parallel(
+            lambda one: fit_from(fitter, before, one, RACE, alone.get(one.candidate.kind)),
+            sorted(some, key=lambda one: not one.candidate.coupled),  # what takes longest first
+            lambda k: progress("fitting", done + k, 2 * len(promising)),
+        )
+
+    near = STAYS * max((one.evidence for one in promising), default=0.0)
+    first = [one for one in promising if one.evidence >= near]
+    begun = _best_of_each(fitted(first, 0), _name)
+    if not (begun and _explains_all(before, begun[0], left)):
+        begun = _best_of_each([*begun, *fitted(apart_from(promising, first), len(first))], _name)
     begun = _best_of_each([*begun, *begun_again(fitter, before, begun)], _name)
     gains = [before.evidence - one.evidence for one in begun]
     enough = STAYS * max(gains, default=0.0) - PROMISING
     ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > enough][:FINISH]
     return screened, _ended(fitter, begun, ahead, len(promising), progress)
+
+
+def _explains_all(before: Fitted, fitted: Fitted, left: Callable[[Fitted], float]) -> bool:
+    """Whether a fit gains much, leaves next to nothing, and needs no nominal parameter moved far for it."""
+    gains = before.evidence - fitted.evidence > SETTLED
+    return gains and max_prior_deviation(fitted) < STRAINED and is_sufficient(fitted, left)
 
 
 def _promising(screened: Sequence[Screened]) -> list[Screened]:
