@@ -96,14 +96,6 @@ def sensitivities(
     return _of_residuals(fitted, found), labels
 
 
-def sensitivities_of_one_mass(
-    fitted: Fitted, candidate: Candidate, point: Values
-) -> tuple[Float[np.ndarray, "m k"], list[tuple[Parameter, int | None]]]:
-    """The same as if motor and table were one mass: what is slower than a screw's resonance moves both alike."""
-    columns, bend, labels = _small_changes(fitted, candidate, point)
-    return _as_one_mass(fitted, columns, bend), labels
-
-
 def _as_one_mass(fitted: Fitted, columns: Float[Array, "p m"], bend: EffectSignals) -> Float[np.ndarray, "n m"]:
     lanes, period = fitted.model.logged.lanes, fitted.model.logged.sampling.period
     return _of_residuals(
