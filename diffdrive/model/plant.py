@@ -228,10 +228,11 @@ def advance_with_tangents(
             return under(balance, *point), balance
 
         value, slope, balance = jax.jvp(at, (friction_velocity,), (jnp.ones_like(friction_velocity),), has_aux=True)
-        return value, tuple(
-            jax.tree.map(lambda linear, by_friction: linear + turned * by_friction, under(balance, *tangent), slope)  # noqa: B023
-            for turned, tangent in tangents
-        )
+
+        def along(by_velocity: Scalar, tangent: tuple[PyTree, ...]) -> _SubstepState:
+            return jax.tree.map(lambda linear, bent: linear + by_velocity * bent, under(balance, *tangent), slope)
+
+        return value, tuple(along(*tangent) for tangent in tangents)
 
     def substep_under(balance: _Balance, *point: Any) -> _SubstepState:
         return _substep_under(balance, plant.step, *point)
