@@ -3,6 +3,8 @@ from .axis import Axis
 from .axis_file.drive_file import read_axis
 from .frequency.read import read_frequency_response
 from .frequency.response import FrequencyResponse
+from .library.listing import LibraryAxis, axes
+from .library.provenance import Provenance
 from .linearisation import LinearLoop, StabilityMargins, linearise
 from .logs.encoders.comparison import compare_encoders
 from .logs.encoders.result import EncoderComparison
@@ -26,15 +28,18 @@ __all__ = [
     "EncoderComparison",
     "FrequencyComparison",
     "FrequencyResponse",
+    "LibraryAxis",
     "LinearLoop",
     "Log",
     "MeasuredLoop",
+    "Provenance",
     "Recording",
     "Rollout",
     "Run",
     "StabilityMargins",
     "Trace",
     "Uncertainty",
+    "axes",
     "compare_encoders",
     "compare_frequency_response",
     "configure",

@@ -26,6 +26,8 @@ from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.data_sheet import require_agreement, stated_parameters, without_contradicted
 from diffdrive.effects.feasibility import limits_envelope, require_feasible
 from diffdrive.errors import DriveFileError, LogError, ParameterError
+from diffdrive.library.provenance import Provenance
+from diffdrive.library.search import drive_path
 from diffdrive.logs.mapping import mapping_tables, parse_mapping
 from diffdrive.model.data_sheet import KINDS as AXIS_KINDS
 from diffdrive.model.data_sheet import DataSheet
@@ -122,6 +124,9 @@ def _effects(section: TomlSection) -> tuple[Effect, ...]:
 def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
     """A drive file's tables, already read from TOML; `source` names the file in errors."""
     root = TomlSection(source, "drive file", tables)
+    Provenance.of(
+        root.take("provenance", {}), source
+    )  # about this file: what a program makes of the axis is not from there
     stated = TomlSection(source, "axis", root.take("axis", {}))
     sheet = _data_sheet(stated)
     sections = {
@@ -194,22 +199,26 @@ def parse_axis(tables: Mapping[str, object], source: str = "drive") -> Axis:
 
 
 def read_axis(path: str | Path) -> Axis:
-    """Read a drive file (docs/reference/drive-file.md).
+    """Read a drive file (docs/reference/drive-file.md), or an axis of the library (docs/reference/axes.md).
 
     Args:
-        path: A TOML file; `diffdrive template > drive.toml` writes one to start from.
+        path: A TOML file; `diffdrive template > drive.toml` writes one to start from. Or the name of an axis of the
+            library, such as `gantry`, where no file has it; `axes` says which there are.
 
     Raises:
-        DriveFileError: It cannot be read: names the file, the key and the remedy.
+        DriveFileError: It cannot be read: names the file, the key and the remedy. Or there is no such axis.
 
     Examples:
         >>> axis = read_axis("drive.toml")
         >>> axis.value("plant.mass")
+        >>> read_axis("gantry")
+        Axis(600 kg, cascade, 2000 Hz)
 
     """
+    file = drive_path(path)
     origin = "'diffdrive template > drive.toml' writes one to start from"
-    axis = parse_axis(read_toml(Path(path), DriveFileError, origin), str(path))
-    return dataclasses.replace(axis, name=Path(path).stem)
+    axis = parse_axis(read_toml(file, DriveFileError, origin), str(file))
+    return dataclasses.replace(axis, name=file.stem)
 
 
 def axis_tables(axis: Axis) -> dict[str, TomlTable]:

@@ -7,6 +7,7 @@ import equinox as eqx
 
 from diffdrive.controllers import KINDS, Keys
 from diffdrive.effects.catalogue import EFFECTS
+from diffdrive.library.provenance import MEANINGS
 from diffdrive.model.data_sheet import KINDS as AXIS_KINDS
 from diffdrive.model.data_sheet import DataSheet
 from diffdrive.model.parameters import Actuator, Friction, Plant, Sensor
@@ -46,6 +47,7 @@ def _option_rows() -> Iterator[tuple[str, ...]]:
 
 # what the parameter classes do not declare: choices, whole numbers, and what is about the axis and not in its equations
 _OTHER_ROWS = (
+    *(("provenance", "", key, "", "text of one line", "absent", meaning) for key, meaning in MEANINGS.items()),
     ("axis", "", "kind", "", ", ".join(AXIS_KINDS), "linear", "a rotary axis has rad, N m and kg m^2 for m, N and kg"),
     ("actuator", "", "delay_samples", "-", ">= 0, whole", "0", "whole control periods between command and force"),
     ("sampling", "", "rate", "Hz", "10 to 1e6", "10000", "control rate"),

@@ -15,11 +15,13 @@ from experiments.cli.options import (
     MeasuredUnit,
     MotionText,
     Out,
+    Pdf,
     Seed,
     Settle,
     Svg,
     count_of,
     finite,
+    parse_folder,
 )  # fmt: skip
 
 drives = typer.Typer()
@@ -31,6 +33,7 @@ def demo(
     emps: Annotated[Path | None, typer.Option(help="Folder of the EMPS benchmark's .mat files.")] = None,
     quick: Annotated[bool, typer.Option(help="Searches from fewer starts: half the time.")] = False,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """A first run without files of your own: simulate, differentiate and tune the paper's drive, identify a real axis.
 
@@ -51,6 +54,7 @@ def simulate(
     seed: Seed = 0,
     out: Out = None,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """Simulate one motion of a drive under its controller, and say how well it follows.
 
@@ -80,6 +84,7 @@ def margins(
     load: Annotated[str, typer.Option(help="Load on the guides.")] = "0 N",
     out: Out = None,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """Stability margins of the linearised loop, and of that with a measured frequency response in its plant's place.
 
@@ -122,6 +127,7 @@ def severity(
     seed: Seed = 0,
     out: Out = None,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """What each unmodelled effect of a drive file costs of its accuracy (ISO 230-2, 230-4), and what to mend first.
 
@@ -238,6 +244,7 @@ def tune(
     ] = 40,
     pareto: Annotated[str, typer.Option(help="Limits of the command noise for a Pareto front: `5;10;20;40 N`.")] = "",
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """Tune the controller's gains by gradient within margins; verify them on scenarios that were not used for tuning.
 
@@ -291,3 +298,26 @@ def tune(
         )  # fmt: skip
     if not result.accepted:
         raise typer.Exit(3)
+
+
+@drives.command(name="export", cls=Computing)
+def export_controller(
+    drive: DriveFile,
+    out: Annotated[Path, typer.Option("--out", parser=parse_folder, metavar="PATH", help="Folder for the code.")],
+    target: Annotated[str, typer.Option(help="c99, structured-text, fmu or hal.")] = "c99",
+    name: Annotated[str | None, typer.Option(help="What names in the code begin with; by default the file's.")] = None,
+    precision: Annotated[str, typer.Option(help="double or single.")] = "double",
+    motion: MotionText = DEFAULT_MOTION,
+    load: LoadText = "0",
+    machine: Machine = None,
+) -> None:
+    """Write the controller of a drive file as code for its target, with a simulated run that its bench replays.
+
+    The code comes from the step that `simulate` runs, observer and filters included. C code is compiled and replayed
+    at once, where this machine has a compiler.
+
+    Example: `diffdrive export tuned.toml --target structured-text --out code`
+    """
+    from experiments.reports.exported import export_drive
+
+    export_drive(drive, out, target, name, precision, motion, load, machine)

@@ -40,15 +40,22 @@ def parse_folder(text: str) -> Path:
     return Path(text)
 
 
-def figures_as(svg: bool) -> bool:
-    """Have every report of this command save its figures as SVG, too."""
+def figures_also(param: typer.CallbackParam, asked: bool) -> bool:
+    """Have every report of this command save its figures in the format that the option is named after, too."""
     from experiments.reports.formats import figure_formats
 
-    figure_formats.set(("png", "svg") if svg else ("png",))
-    return svg
+    ending = param.opts[0].removeprefix("--")
+    others = tuple(one for one in figure_formats.get() if one != ending)  # a command before this one may have asked
+    figure_formats.set((*others, ending) if asked else others)
+    return asked
 
 
-DriveFile = Annotated[Path, typer.Argument(help="Drive file (TOML); `diffdrive template` prints one.")]
+DriveFile = Annotated[
+    Path,
+    typer.Argument(
+        help="Drive file (TOML), `diffdrive template` prints one; or an axis by name, `diffdrive axes` lists them."
+    ),
+]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -67,7 +74,12 @@ StudyFolder = Annotated[
         help="Folder; a study that was interrupted goes on from what is in it.",
     ),
 ]
-Svg = Annotated[bool, typer.Option("--svg", callback=figures_as, help="Write each figure as SVG, too, beside its PNG.")]
+Svg = Annotated[
+    bool, typer.Option("--svg", callback=figures_also, help="Write each figure as SVG, too, beside its PNG.")
+]
+Pdf = Annotated[
+    bool, typer.Option("--pdf", callback=figures_also, help="Write each figure as PDF, too, as a paper includes it.")
+]
 Logs = Annotated[
     list[Path],
     typer.Argument(
@@ -77,7 +89,8 @@ Logs = Annotated[
     ),
 ]
 DriveOption = Annotated[
-    Path, typer.Option("--drive", help="Drive file: the nominal axis, and columns and units of its logs.")
+    Path,
+    typer.Option("--drive", help="Drive file, or axis by name: the nominal axis, and columns and units of its logs."),
 ]
 Columns = Annotated[
     list[str] | None,
@@ -114,7 +127,10 @@ Loads = Annotated[
 ]
 Machine = Annotated[
     Path | None,
-    typer.Option("--machine", help="Drive file of the machine, where it differs from the controller's nominal model."),
+    typer.Option(
+        "--machine",
+        help="Drive file, or axis by name, of the machine, where it differs from the controller's nominal model.",
+    ),
 ]
 MeasuredOf = Annotated[
     str | None,

@@ -40,7 +40,7 @@ from diffdrive.paper import example_controllers
 ROOT = Path(__file__).parents[3]
 BENCH = (ROOT / "../shared/data/bench").resolve()
 BENCH_FILES = sorted(BENCH.glob("*/drive.toml"))
-TEMPLATES = sorted((ROOT / "experiments/drives").glob("*.toml"))
+TEMPLATES = sorted((ROOT / "diffdrive/library").glob("*.toml"))
 
 DRIVE = Drive(
     plant=paper_drive().plant,
@@ -273,7 +273,7 @@ def test_bench_drives_are_read_and_survive_a_round_trip(path):
     assert_same(parse_axis(axis_tables(read)), read)
 
 
-@pytest.mark.skipif(not TEMPLATES, reason="experiments/drives holds no drive file")
+@pytest.mark.skipif(not TEMPLATES, reason="diffdrive/library holds no drive file")
 @pytest.mark.parametrize("path", TEMPLATES, ids=[path.stem for path in TEMPLATES])
 def test_the_drive_files_shipped_with_the_package_are_read(path):
     assert_same(parse_axis(axis_tables(read_axis(path))), read_axis(path))
