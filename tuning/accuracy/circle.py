@@ -54,14 +54,28 @@ def last_turn(position: Float[np.ndarray, " n"], circle: Circle) -> Float[np.nda
 
 def roundness(axis: Float[np.ndarray, " t"], other: Float[np.ndarray, " t"]) -> Roundness:
     """ISO 230-4 of one turn of the axis (m, about the middle) beside the same turn of the other, which is shifted."""
-    quarter = len(axis) // 4
-    paths = [np.stack([axis, np.roll(other, shift)]) for shift in (quarter, -quarter)]
+    paths = _paths(axis, other)
     common = _centre(np.concatenate(paths, axis=1))
     one, reverse = (_radii(path, common) for path in paths)
     return Roundness(
         deviation=max(float(np.ptp(np.hypot(*(path - _centre(path))))) for path in paths),
         hysteresis=float(np.max(np.abs(one - reverse))),
     )
+
+
+def radial_deviations(axis: Float[np.ndarray, " t"], other: Float[np.ndarray, " t"]) -> Float[np.ndarray, "2 t"]:
+    """Radii less their mean (m) at as many even angles from 0 on, each about its centre: counter-clockwise, clockwise.
+
+    The range of a row is the circular deviation of that sense of rotation.
+    """
+    radii = np.stack([_radii(path, _centre(path)) for path in _paths(axis, other)])
+    return np.asarray(radii - np.mean(radii, axis=1, keepdims=True))
+
+
+def _paths(axis: Float[np.ndarray, " t"], other: Float[np.ndarray, " t"]) -> list[Float[np.ndarray, "2 t"]]:
+    """Both senses of rotation: the other axis a quarter of a turn behind, and ahead."""
+    quarter = len(axis) // 4
+    return [np.stack([axis, np.roll(other, shift)]) for shift in (quarter, -quarter)]
 
 
 def _centre(path: Float[np.ndarray, "2 t"]) -> Float[np.ndarray, "2 1"]:

@@ -1,12 +1,15 @@
 """What a simulated acceptance test says of an axis, with and without its unmodelled effects."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
 
 from diffdrive.results import Result, Status
 
-SOUND = "all"  # the machine without effects
+AS_IT_IS, SOUND = "none", "all"  # of the effects is mended
 NEGLIGIBLE, SHOWN = 0.01, 1e-9  # of A or G, whichever is larger, and m: what costs less than either is not named first
 JUDGED = ("accuracy", "circular_deviation")  # what a tolerance is for: acceptance tests limit these two
 TERMS: Mapping[str, str] = {
@@ -56,6 +59,8 @@ class SeverityResult(Result):
     stroke: tuple[float, float]  # of the tests
     status: Status
     notes: tuple[str, ...]
+    # of each machine, by what is mended: the deviation of the radius at even angles, counter-clockwise and clockwise
+    circles: Mapping[str, Float[np.ndarray, "2 t"]] = field(default_factory=dict)
 
     schema: ClassVar[str] = "severity/1"
 

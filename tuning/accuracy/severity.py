@@ -16,9 +16,9 @@ from diffdrive.model.parameters import Drive
 from diffdrive.motion.motion import Motion
 from diffdrive.results import Status
 from diffdrive.support.bounds import require_number
-from tuning.accuracy.circle import Circle, circle_between, last_turn, roundness
+from tuning.accuracy.circle import Circle, circle_between, last_turn, radial_deviations, roundness
 from tuning.accuracy.positioning import DWELL, Visits, deviations, positioning, positioning_motion, targets_within
-from tuning.accuracy.result import SOUND, Accuracy, SeverityResult, Without
+from tuning.accuracy.result import AS_IT_IS, SOUND, Accuracy, SeverityResult, Without
 from tuning.progress import Progress, reporting
 
 STROKE_SHARE = 0.9  # of the stroke, about its middle: the test stays clear of its ends
@@ -93,23 +93,29 @@ def severity(
     ]
     with reporting(progress) as tell:
         stage, many = "severity", 1 + len(machines)
-
-        def measured(number: int, machine: Drive, other: Float[np.ndarray, " t"] | None) -> Accuracy:
-            tell(stage, number, many)
-            return _accuracy(axis, machine, test, load, seed, other)
-
         sound = _mended(axis.drive, effects)
         other = None if test.circle is None else _turn(axis, sound, test.circle, load, seed)
-        as_it_is = measured(0, axis.drive, other)
+        circles: dict[str, Float[np.ndarray, "2 t"]] = {}
+
+        def measured(name: str, number: int, machine: Drive) -> Accuracy:
+            tell(stage, number, many)
+            found = positioning(deviations(_table(axis, machine, test.positioning, load, seed), test.visits))
+            if test.circle is None or other is None:
+                return Accuracy(*found, None, None)
+            turn = _turn(axis, machine, test.circle, load, seed)
+            circles[name] = radial_deviations(turn, other)
+            return Accuracy(*found, *roundness(turn, other))
+
+        as_it_is = measured(AS_IT_IS, 0, axis.drive)
         rows = [
-            Without(name, _parts(mended), measured(number, _mended(axis.drive, mended), other))
+            Without(name, _parts(mended), measured(name, number, _mended(axis.drive, mended)))
             for number, (name, mended) in enumerate(machines, 1)
         ]
         tell(stage, many, many)
     return SeverityResult(
         as_it_is=as_it_is, without=tuple(rows), tolerance=tolerance, is_rotary=axis.sheet.is_rotary,
         stroke=(float(test.positioning.position.min()), float(test.positioning.position.max())),
-        status=Status(True), notes=notes,
+        status=Status(True), notes=notes, circles=circles,
     )  # fmt: skip
 
 
@@ -178,13 +184,3 @@ def _table(axis: Axis, machine: Drive, motion: Motion, load: float, seed: int | 
 
 def _turn(axis: Axis, machine: Drive, circle: Circle, load: float, seed: int | None) -> Float[np.ndarray, " t"]:
     return last_turn(_table(axis, machine, circle.motion, load, seed), circle)
-
-
-def _accuracy(
-    axis: Axis, machine: Drive, test: _Motions, load: float, seed: int | None, other: Float[np.ndarray, " t"] | None
-) -> Accuracy:
-    """What both tests say of a machine; `other` is the turn of the axis that draws the circle with it."""
-    found = positioning(deviations(_table(axis, machine, test.positioning, load, seed), test.visits))
-    if test.circle is None or other is None:
-        return Accuracy(*found, None, None)
-    return Accuracy(*found, *roundness(_turn(axis, machine, test.circle, load, seed), other))

@@ -45,6 +45,7 @@ from tuning.diagnosis.judgement.held_out import (
     confirmed,
     gap_reduction,
     gap_reductions,
+    is_hidden,
     left_in_loop,
     prune_on_validation,
 )
@@ -57,6 +58,7 @@ from tuning.diagnosis.selection.explain import MOST_EFFECTS, Explanation, eviden
 from tuning.diagnosis.selection.search import Progress, Round, recalibrated
 from tuning.diagnosis.selection.snapshots import read_snapshots
 from tuning.diagnosis.selection.stages import Tell, of_gap, unheard
+from tuning.diagnosis.selection.step_size import with_step_short_enough
 from tuning.identification.padding import padded
 from tuning.identification.problem import MIN_LANE_SAMPLES, lanes_of, long_pieces, noise_floor, sampling_of
 from tuning.identification.shown_motion import ExcitationDeficit
@@ -92,8 +94,10 @@ class Diagnosis:
 
     @property
     def closed(self) -> GapReduction | None:
-        """How far what was found closes the gap that is held out; None where nothing was found, or nothing was left."""
-        return _closed(self.comparisons, self.logged.sampling.rate)
+        """How far what was found closes the gap that is held out; None where nothing was found, nothing was left, or
+        recalibration hides it.
+        """
+        return _closed(self.explanation, self.comparisons, self.logged.sampling.rate)
 
     @property
     def found(self) -> Fitted:
@@ -124,8 +128,10 @@ def logged_of(drive: Drive, logs: Sequence[Log], loop_samples: int = 1) -> Logge
     noise = jnp.asarray(noise_floor(drive, lanes, rate))
     sampling = Sampling(rate, thinning * sampling_of(logs[0].rate, SUBSTEP).plant_steps)
     is_fast = loop_samples == 1 or thinning > 1
-    if is_fast and lanes.period_commands is None and float(delay) % 1.0:
-        lanes = lanes._replace(period_commands=in_parts(lanes.command, sampling.plant_steps))
+    if is_fast and float(delay) * thinning % 1.0:  # the force changes within a control period
+        asked = in_parts(lanes.command, 1) if lanes.period_commands is None else lanes.period_commands
+        parts = jnp.repeat(asked, sampling.plant_steps // asked.shape[2], axis=2)
+        lanes = lanes._replace(period_commands=parts)
     starts = jnp.asarray([float(log.time[piece.start] - log.time[0]) for log in logs for piece in long_pieces(log)])
     logged = Logged(as_arrays(drive), delay, padded(lanes), owner, noise, sampling, starts, thinning)
     return logged if is_fast else read_snapshots(logged, logs, loop_samples)
@@ -165,6 +171,8 @@ def diagnose(
     deficits = excitation_deficits(logged, at)
     progress("recalibrating", 0, 1)
     base = recalibrated(fitter, tolerance, tuple(Member(*one) for one in given(effects, at)), uncertainty)
+    fitter, base = with_step_short_enough(fitter, base)
+    logged = fitter.logged
     progress("recalibrating", 1, 1)
     lead = next((float(one.lead) for one in drive.effects if isinstance(one, LeadError)), None)
     early = _missing_force(fitter, base)
@@ -177,7 +185,7 @@ def diagnose(
         fitter, found, list(logs), None if isinstance(controller, UnknownController) else controller
     )
     before_pruning, (found, comparisons) = found, prune_on_validation(found, comparisons)
-    share = _closed(comparisons, logged.sampling.rate)
+    share = _closed(found, comparisons, logged.sampling.rate)
     verdict = judge(fitter, found, left_in_loop(comparisons), gap_reductions(found, comparisons, logged.sampling.rate))
     verdict = _credible(confirmed(verdict, comparisons, share), found.best)
     verdict = downgraded_by_event(downgraded_by_command(verdict, found), found.best)
@@ -240,8 +248,8 @@ def _needed(fitter: Fitter, found: Explanation) -> float:
     return max(LACKING, evidence_needed(fitter, found.base, found.best, is_complete(fitter, found.best), ()))
 
 
-def _closed(comparisons: list[ModelComparison], rate: float) -> GapReduction | None:
-    return gap_reduction(comparisons[1], comparisons[-1], rate) if len(comparisons) > 2 else None
+def _closed(found: Explanation, comparisons: list[ModelComparison], rate: float) -> GapReduction | None:
+    return None if len(comparisons) == 2 or is_hidden(found) else gap_reduction(comparisons[1], comparisons[-1], rate)
 
 
 def _credible(verdict: Verdict, best: Fitted) -> Verdict:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import jax
+from threadpoolctl import threadpool_limits
 
 from diffdrive.axis import Axis
 from diffdrive.effects.actuator import ForceGain, LoopDelay
@@ -174,10 +175,12 @@ def diagnose_checked(
     most, seen = 0 if is_void(used) else most_effects, axis.as_logged()
     without = [*without, *unseen_effects(axis)]
     stretches = most_telling(used.logs, seen.drive)
-    found = diagnose_drive(
-        seen.drive, seen.controller, stretches.fitted,
-        most_effects=most, without=without, loop_samples=axis.loop_samples, uncertainty=axis.uncertainty, **more,
-    )  # fmt: skip
+    # fits run side by side, and of products with some twenty columns more threads than these only wait
+    with threadpool_limits(1, user_api="blas"):
+        found = diagnose_drive(
+            seen.drive, seen.controller, stretches.fitted,
+            most_effects=most, without=without, loop_samples=axis.loop_samples, uncertainty=axis.uncertainty, **more,
+        )  # fmt: skip
     if stretches.rest and most:
         every = logged_of(seen.drive, used.logs, axis.loop_samples)
         process_noise = found.comparisons[-1].trusting

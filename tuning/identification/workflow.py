@@ -119,7 +119,7 @@ class IdentificationResult(Result):
         prefix = "" if self.status.ok else "NOT OK: "
         return (
             f"{prefix}{self.status.message}: {len(fitted)} of {len(self.estimates)} parameters from "
-            f"{len(self.logs.logs)} logs, mass {mass.value:.4g} kg"
+            f"{len(self.logs.logs)} log{'s' * (len(self.logs.logs) > 1)}, mass {mass.value:.4g} kg"
         )
 
     def summary(self) -> str:

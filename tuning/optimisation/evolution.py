@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
-import scipy.stats
 from jax import lax
 from jaxtyping import Array, Float, PyTree
 
@@ -67,13 +66,11 @@ def evolve(
     budget: Budget,
     *,
     population: int = POPULATION,
-    screened: int = 0,
     seed: int = 0,
     progress: Callable[[HistoryEntry], None] = lambda visit: None,
 ) -> Evolution:
     """Minimise `costs` over the unit cube; `start` is one member of the first population, the others fill it evenly.
 
-    With `screened` points, the first population is the best of so many that fill the cube evenly, and of `start`.
     Differential evolution with scipy's defaults (best1bin, mutation 0.5 to 1, recombination 0.7), without its final
     gradient polish. Costs that are not finite count as the worst.
     """
@@ -100,16 +97,11 @@ def evolve(
             return
         raise StopIteration
 
-    first: str | Float[np.ndarray, "s k"] = "latinhypercube"
-    if screened:
-        points = np.vstack([start, scipy.stats.qmc.Sobol(len(start), seed=seed).random(screened)])
-        sampled = np.concatenate([generation(some.T) for some in np.array_split(points, max(1, screened // BLOCK))])
-        first = np.clip(points[np.argsort(sampled)[: population * len(start)]], 2 * EDGE, 1.0 - 2 * EDGE)
     found = scipy.optimize.differential_evolution(  # type: ignore[call-overload]  # arrays of costs, members as rows
         generation,
         [(EDGE, 1.0 - EDGE)] * len(start),
         x0=np.clip(start, 2 * EDGE, 1.0 - 2 * EDGE),
-        init=first,
+        init="latinhypercube",
         popsize=population,
         maxiter=max(1, budget.simulations),  # never reached: a generation has several members
         tol=1e-6,

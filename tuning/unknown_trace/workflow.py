@@ -174,9 +174,13 @@ def _sheet(kind: str, stated: Mapping[str, float | str]) -> DataSheet:
     return DataSheet(kind=kind, **{name: _number(name, value, declared[name], none) for name, value in stated.items()})
 
 
+def _unit_of_mass(trace: TraceGuess) -> str:
+    return "kg*m^2" if trace.sheet.is_rotary else "kg"
+
+
 def _of_mass(trace: TraceGuess) -> Question:
     shown = ""
-    unit = "kg*m^2" if trace.sheet.is_rotary else "kg"
+    unit = _unit_of_mass(trace)
     if trace.implied_mass is not None:
         shown = f" (with these units the trace itself shows {trace.implied_mass:.3g} {unit})"
     example = "0.5 kg*m^2" if trace.sheet.is_rotary else "500 kg"
@@ -239,12 +243,12 @@ def _of_drive(machine: FirstMachine, controller: FirstController, axis: Axis) ->
 
 def _of_contradiction(trace: TraceGuess, mass: float) -> list[str]:
     """A stated mass that is off what the trace shows by more than a factor of two."""
-    shown, balance = trace.implied_mass, trace.balance
+    shown, balance, unit = trace.implied_mass, trace.balance, _unit_of_mass(trace)
     if shown is None or balance is None or not balance.fit.mass.is_determined or 0.5 < shown / mass < 2.0:
         return []
     return [
-        f"the trace shows a moving mass of {shown:.3g} with these units, and {mass:g} is stated: one of the mass, the "
-        "command's unit and what it rests on (rated torque, torque constant, lead) is another"
+        f"the trace shows a moving mass of {shown:.3g} {unit} with these units, and {mass:g} {unit} is stated: one of "
+        "the mass, the command's unit and what it rests on (rated torque, torque constant, lead) is another"
     ]
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tuning.accuracy.circle import TURNS, circle_between, last_turn, roundness
+from tuning.accuracy.circle import TURNS, circle_between, last_turn, radial_deviations, roundness
 
 CIRCLE = circle_between(-0.1, 0.1, 0.05, 1.0, 1_000.0)
 TURN = last_turn(CIRCLE.motion.position, CIRCLE)
@@ -50,3 +50,13 @@ def test_an_oval_that_lags_has_no_hysteresis_either():
     found = roundness((1 + 3e-4) * late, late)
     assert found.deviation == pytest.approx(3e-4 * CIRCLE.radius, rel=1e-3)
     assert found.hysteresis < 1e-4 * found.deviation
+
+
+def test_the_range_of_the_drawn_radii_is_the_deviation_of_each_sense_and_a_step_is_where_the_axis_turns_back():
+    lost = 4e-6
+    path = TURN - 0.5 * lost * np.sign(VELOCITY)
+    drawn = radial_deviations(path, TURN)
+    assert np.max(np.ptp(drawn, axis=1)) == pytest.approx(roundness(path, TURN).deviation, rel=0.01)
+    angles = np.linspace(0.0, 360.0, CIRCLE.samples, endpoint=False)
+    steps = angles[np.argsort(-np.abs(np.diff(drawn[0], append=drawn[0][:1])))[:2]]
+    np.testing.assert_allclose(np.sort((steps + 90.0) % 360.0), [90.0, 270.0], atol=1.0)

@@ -79,6 +79,8 @@ def test_a_loop_that_settles_slowly_is_measured_at_rest():
 def test_it_is_reported_as_any_result_is(found, tmp_path):
     experiments.report(found, tmp_path)
     assert {"severity.json", "severity.csv", "severity.png"} <= {one.name for one in tmp_path.iterdir()}
+    assert "Deviation of the radius over the angle" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert np.ptp(found.circles["none"], axis=1).max() == pytest.approx(found.as_it_is.circular_deviation, rel=0.01)
 
 
 def test_it_is_saved_with_every_number(found, tmp_path):

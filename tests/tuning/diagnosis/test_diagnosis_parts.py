@@ -45,14 +45,18 @@ PUSHES = Cogging(0.0012, 5.0, 3.0)
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 1.3, 7.6])
 def test_a_thinned_command_is_held_back_by_control_periods(delay):
-    """What acts over each sample is the mean of what acts over its control periods, each held back by itself."""
+    """What acts over each substep of the plant is exactly the mean of the held command, late by so many periods: a mean
+    over whole control periods would spread what changes within one.
+    """
     fast = axis_of(rate=10_000.0)
     log = simulate_log(fast, two_sines(0.3, 10_000.0))
     logs = logged_of(fast.drive, [log])
     effect = effect_in_lanes(LoopDelay, {"delay": np.array([delay / 5])}, logs.owner)
     acts = signals_along(logs, logs.drive, (effect,), initial_trajectory(logs))
-    time = np.arange(len(log.time))
-    late = np.interp(time - delay, time, log.command).reshape(-1, 5)
+    held = logs.sampling.plant_steps // 5  # substeps of a control period
+    assert held > 1
+    command, time = np.repeat(log.command, held), np.arange(held * len(log.time))
+    late = np.interp(time - held * delay, time, command).reshape(-1, 5 * held)
     count = len(late)
     np.testing.assert_allclose(np.asarray(acts.force)[0, :count], late.mean(axis=1), atol=1e-9)
     np.testing.assert_allclose(np.asarray(acts.ripple)[0, :count], late - late.mean(axis=1, keepdims=True), atol=1e-9)

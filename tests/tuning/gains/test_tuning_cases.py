@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from diffdrive.axis_file.drive_file import read_axis
+from diffdrive.library import PAPER_DRIVE
 from diffdrive.model.quantity import node_at
 from diffdrive.model.uncertainty import Deviation, Uncertainty
 from experiments.reports.report import Report
-from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.tuning_study.study import (
     DECADES,
     _cost_to_reach,

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import ParameterError
+from diffdrive.library import PAPER_DRIVE
 from experiments.cli.main import app
-from experiments.studies.demo import PAPER_DRIVE
 from tuning.sweeps.cluster import on_cluster
 from tuning.sweeps.parts import run_parts
 from tuning.sweeps.spec import SweepSpec

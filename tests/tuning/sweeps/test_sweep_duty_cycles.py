@@ -12,13 +12,13 @@ from typer.testing import CliRunner
 
 from diffdrive.axis import Axis
 from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.library import PAPER_DRIVE
 from diffdrive.loop.simulate import simulate_loop
 from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import paper_drive
 from diffdrive.motion.motion import Limits
 from diffdrive.motion.text import LOADS, MOTIONS, motion_recipe, parse_load, parse_motion
 from experiments.cli.main import app
-from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.paper import scenario as paper
 from tuning.sweeps.costs import costs_of, machines_at_once, part_costs
 from tuning.sweeps.duty_cycles import _rounded_up, at_corners

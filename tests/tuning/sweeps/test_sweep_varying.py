@@ -13,9 +13,9 @@ from hypothesis.extra import numpy as hnp
 import tuning
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import DiffdriveError, ParameterError
+from diffdrive.library import PAPER_DRIVE
 from diffdrive.model.uncertainty import Deviation
 from experiments.cli.sweeps import parse_tolerance, parse_vary
-from experiments.studies.demo import PAPER_DRIVE
 from tuning.identification.estimates import EstimateStatus, ParameterEstimate, left_open
 from tuning.identification.workflow import IdentificationResult
 from tuning.sweeps.identified import FILE, Distributions, about_identified, read_uncertainty, write_uncertainty

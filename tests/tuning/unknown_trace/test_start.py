@@ -8,6 +8,7 @@ import pytest
 import tuning
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import DriveFileError, ParameterError, ResultError
+from diffdrive.logs import write_log
 from diffdrive.logs.checks.dynamics import ACCURACY
 from tests.support.cnc_axis import CncAxis, log_of
 from tests.support.sound_log import DRIVE, SOUND
@@ -161,3 +162,12 @@ def test_a_fit_can_begin_from_the_drive_file(started):
 def test_the_drive_file_is_identified_from(started, trace):
     found = tuning.identify(started.axis, trace, starts=1)
     assert found.estimate("mass").value == pytest.approx(100.0, rel=ACCURACY)
+
+
+def test_a_log_with_every_digit_of_the_command_finds_the_controller_too(tmp_path):
+    """Its moments are worth 1e17 of what was expected: their curvature must not be lost to rounding."""
+    write_log(tmp_path / "lap.csv", SOUND)
+    found = tuning.start(tmp_path / "lap.csv", mass="100 kg")
+    assert found.axis.controller.kind == "pd"
+    for name, gain in DRIVE.gains.items():
+        assert found.axis.gains[name] == pytest.approx(float(gain), rel=1e-6)

@@ -26,7 +26,7 @@ from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME, EkfResult, in_substeps
 from tuning.identification.prediction import Lanes
 
-BATCH = 512  # samples that are differentiated at once
+BATCH = 64  # samples that are differentiated at once: what they keep on the way stays in cache
 
 
 class StepJacobians(NamedTuple):
@@ -62,12 +62,8 @@ def step_jacobians_along(
 
     def at(sample: PyTree) -> Float[Array, "3 directions"]:
         v, z, force, coulomb, gap, viscous, load, ripple = sample
-        args = (v, z, numbers(drive), force, coulomb, gap, viscous)
-        flat, again = ravel_pytree(args)
-        jac = jax.vmap(lambda d: jax.jvp(lambda a: period(again(a), load, ripple), (flat,), (d,))[1], out_axes=1)(
-            jnp.eye(len(flat))
-        )
-        return jac
+        flat, again = ravel_pytree((v, z, numbers(drive), force, coulomb, gap, viscous))
+        return jax.jacrev(lambda args: period(again(args), load, ripple))(flat)  # three ways back, some twenty ahead
 
     force = under.force + filtered.disturbance
     trajectory, ripple = filtered.trajectory, in_substeps(under, sampling)

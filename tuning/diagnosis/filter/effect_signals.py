@@ -77,6 +77,7 @@ def effect_signals(
     def one(lane: Lanes, trajectory: Trajectory, effects: tuple[Effect, ...], start: Scalar) -> EffectSignals:
         effects, asked = _asked(drive, effects, delay, lane, sampling, ahead)
         parts = asked.shape[1]
+        held = sampling.plant_steps // parts  # substeps
 
         def step(states: tuple[PyTree, ...], at: PyTree) -> tuple[tuple[PyTree, ...], EffectSignals]:
             count, table, forces, pushed, load = at
@@ -85,7 +86,8 @@ def effect_signals(
                 states, push = stages.actuator_output(effects, states, forces[k], period / parts)
                 pushes.append(push)
             force = sum(push.mean for push in pushes) / parts
-            ripple = jnp.stack([push.mean - force for push in pushes]) if parts > 1 else None
+            # of each substep, so that a delay, which needs those, runs in the filter that is compiled already
+            ripple = jnp.repeat(jnp.stack([push.mean - force for push in pushes]), held) if parts > 1 else None
             seen = Seen(
                 start + count * period,
                 table.position,
@@ -120,12 +122,12 @@ def _asked(
     """The force asked of the actuator in each part of each sample, and the effects that it has yet to meet.
 
     A part is a control period, or a substep of the plant where the force changes within one: late or lagging, it does.
-    Delays, which are counted in samples, hold the command back here.
+    In the mean over a whole period it would be spread over it, and a fine scale tells that from a delay. Delays, which
+    are counted in samples, hold the command back here.
     """
-    asked = lane.period_commands
-    if asked is None:
-        changes = any(isinstance(effect, LoopDelay | ActuatorLag) for effect in effects)
-        asked = in_parts(lane.command, sampling.plant_steps if changes else 1)
+    asked = in_parts(lane.command, 1) if lane.period_commands is None else lane.period_commands
+    if any(isinstance(effect, LoopDelay | ActuatorLag) for effect in effects):
+        asked = jnp.repeat(asked, sampling.plant_steps // asked.shape[1], axis=1)
     count, parts = asked.shape
     late = delay + sum(effect.delay for effect in effects if isinstance(effect, LoopDelay))
     limited = cast(Array, saturate(drive.actuator, asked.reshape(-1)))  # of an array, it is one

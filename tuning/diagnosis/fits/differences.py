@@ -22,7 +22,9 @@ from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.model import Logged, Model, Vector, machine, signals_along, stacked
 
 DIFFERENCE = 0.02  # in units of the prior
+LEAST = 1e-9  # in units of the prior: less is lost in rounding
 SMALL = 0.05  # of the scatter, RMS: a change of the residuals that is still linear
+LARGER, SMALLER = 1.5, 10.0  # times the right step: what is still linear, and what is not yet lost in rounding
 AT_ONCE = 4  # filters side by side; their segments are already
 
 Ways = Int[np.ndarray, " w"]
@@ -79,15 +81,25 @@ def _innovations(
     return jax.vmap(one)(drives, signals, coupled)
 
 
-def _by_steps(over: Callable[[Ways, Vector], Columns], size: int, ways: Ways, sides: Vector, samples: float) -> Columns:
-    """`over` (differences along some ways, over a step each) for all `ways` of `size`; the others are zero."""
-    first = over(ways, sides[ways] * DIFFERENCE)
+def _by_steps(over: Callable[[Ways, Vector], Columns], size: int, ways: Ways, begin: Vector, samples: float) -> Columns:
+    """`over` (differences along some ways, over a step each) for all `ways` of `size`; the others are zero.
+
+    The steps are `begin` where these turn out to be of about the right size, else they are taken again.
+    """
+    first = over(ways, begin[ways])
     columns = np.zeros((len(first), size), order="F")
     columns[:, ways] = first
-    steps = sides * SMALL * np.sqrt(samples) / np.maximum(np.linalg.norm(columns, axis=0), 1e-9)
-    sharp = ways[np.abs(steps[ways]) < DIFFERENCE]
-    columns[:, sharp] = over(sharp, steps[sharp])
+    steps = np.sign(begin) * _right_steps(columns, samples)
+    ratio = steps[ways] / begin[ways]
+    again = ways[(ratio < 1.0 / LARGER) | (ratio > SMALLER)]
+    columns[:, again] = over(again, steps[again])
     return columns
+
+
+def _right_steps(columns: Columns, samples: float) -> Vector:
+    """Steps that change the residuals by `SMALL`, and none that is no small change of a parameter."""
+    norms = np.linalg.norm(np.nan_to_num(columns, posinf=0.0, neginf=0.0), axis=0)
+    return np.clip(SMALL * np.sqrt(samples) / np.maximum(norms, 1e-9), LEAST, DIFFERENCE)
 
 
 def _in_blocks(ways: Ways, steps: Vector) -> list[tuple[Ways, Vector]]:
@@ -109,11 +121,18 @@ def _slope(
 
 
 def by_numbers(
-    model: Model, theta: Vector, process_noise: Vector, filtered: EkfResult, trajectory: Trajectory, wanted: Ways
+    model: Model,
+    theta: Vector,
+    process_noise: Vector,
+    filtered: EkfResult,
+    trajectory: Trajectory,
+    wanted: Ways,
+    near: Columns | None = None,
 ) -> Float[np.ndarray, "m k"]:
     """Of the innovations of a hypothesis at `theta`, over their scatter, to each number of u that is wanted.
 
-    Each to the side away from the prior's edge; `trajectory` is the one that led to what was filtered.
+    Each to the side away from the prior's edge; `trajectory` is the one that led to what was filtered. `near` are the
+    same of a point nearby, if known.
     """
     logged, forces = model.logged, ProcessNoise(*jnp.asarray(process_noise))
     counts = np.asarray(logged.lanes.counts)
@@ -130,14 +149,19 @@ def by_numbers(
         return _slope(found, np.asarray(filtered.innovation), steps, filtered, logged)
 
     sides = np.where(theta > 0.0, -1.0, 1.0)
-    return _by_steps(over, model.size, wanted, sides, counts.sum())
+    steps = DIFFERENCE if near is None else _right_steps(near, counts.sum())
+    return _by_steps(over, model.size, wanted, sides * steps, counts.sum())
 
 
 def by_acts(
     model: Model, theta: Vector, process_noise: Vector, filtered: EkfResult, drive: Drive, signals: EffectSignals,
-    columns: Float[np.ndarray, "p m"], bend: EffectSignals,
+    columns: Float[np.ndarray, "p m"], bend: EffectSignals, alone: Columns,
 ) -> Float[np.ndarray, "lanes n m"]:  # fmt: skip
-    """Of the same innovations to changes of the drive's numbers (`columns`) and of what acts ([lanes, n, m])."""
+    """Of the same innovations to changes of the drive's numbers (`columns`) and of what acts ([lanes, n, m]).
+
+    `alone` is what these changes do, over the scatter, where nothing is stepped within the filter: how small they must
+    be is of that order.
+    """
     logged, forces = model.logged, ProcessNoise(*jnp.asarray(process_noise))
     counts, coupled = np.asarray(logged.lanes.counts), model.apart(model.effects(theta))[1]
 
@@ -146,14 +170,13 @@ def by_acts(
         beside = stacked([coupled] * len(ways))
         return np.asarray(_innovations(drives, acts, beside, logged, filtered.trajectory, forces))
 
-    here = innovations(np.zeros(AT_ONCE, int), np.zeros(AT_ONCE))[0]  # along the last trajectory, as the others are
-
     def over(ways: Ways, steps: Vector) -> Columns:
         if not ways.size:
             return np.zeros((counts.size, 0))
-        found = [innovations(few, by) for few, by in _in_blocks(ways, steps)]
-        return _slope(found, here, steps, filtered, logged)
+        # the last without any step: along the last trajectory, as the others are
+        found = [innovations(few, by) for few, by in _in_blocks(np.append(ways, 0), np.append(steps, 0.0))]
+        return _slope(found, found[-1][-1], steps, filtered, logged)
 
     count = columns.shape[1]
-    found = _by_steps(over, count, np.arange(count), np.ones(count), counts.sum())
+    found = _by_steps(over, count, np.arange(count), _right_steps(alone, counts.sum()), counts.sum())
     return found.reshape(*counts.shape, count)

@@ -121,14 +121,19 @@ class Fitter:
         return kept * residual, kept
 
     def jacobian(
-        self, model: Model, point: Point, step_jacobians: StepJacobians | None = None, free: Vector | bool = True
+        self,
+        model: Model,
+        point: Point,
+        step_jacobians: StepJacobians | None = None,
+        free: Vector | bool = True,
+        near: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Of the residuals, [m, k]; what is not `free` may be left out."""
+        """Of the residuals, [m, k]; what is not `free` may be left out. `near` is that of a point nearby, if known."""
         logged, filtered, (residual, kept) = self.logged, point.filtered, self.residuals(point)
         if model.coupled:
             moves = np.r_[model.prior.any(axis=0), np.ones(len(model.slots), bool)]
             wanted = np.flatnonzero(moves & (np.broadcast_to(free, model.size) != 0))
-            found = by_numbers(model, point.theta, point.process_noise, filtered, point.trajectory, wanted)
+            found = by_numbers(model, point.theta, point.process_noise, filtered, point.trajectory, wanted, near)
             return kept[:, None] * found
         step_jacobians = self.slopes(point) if step_jacobians is None else step_jacobians
         effects, b = model.effects(point.theta), jnp.asarray(model.calibration(point.theta))
@@ -178,9 +183,15 @@ class Fitter:
     ) -> Fitted:
         """From `theta`; effects are first stepped along `trajectory`, `free` are ones for what may move."""
         point, steps = self.minimise(model, theta, process_noise, trajectory, most, free)
-        for _ in range(SETTLING):
-            point = self.at(model, point.theta, point.process_noise, point.next_trajectory)
-        return self._linearised(model, point, steps)
+        settled = self.settled(model, point.theta, point.process_noise, point.next_trajectory)
+        return self._linearised(model, settled, steps)
+
+    def settled(self, model: Model, theta: Vector, process_noise: np.ndarray, trajectory: Trajectory) -> Point:
+        """The hypothesis at u, its effects along its own trajectory: it is passed `SETTLING` times from the given."""
+        point = self.at(model, theta, process_noise, trajectory)
+        for _ in range(SETTLING - 1):
+            point = self.at(model, theta, process_noise, point.next_trajectory)
+        return point
 
     def under(self, fitted: Fitted, process_noise: Float[np.ndarray, " 2"]) -> Fitted:
         """The same hypothesis with the same numbers, in a filter that may invent other forces (N)."""
@@ -254,13 +265,13 @@ class Fitter:
         As long as there is much to gain the filter's process force is taken as so many times smaller.
         """
         damping, idle = DAMPING, 0
-        carried = None  # the Jacobian, where a new one would be dear
+        carried = jacobian = None  # the first where a new one would be dear
         settled = False  # the process force, as far as the last step could tell
         for steps in range(most):
             if idle == 2:
                 return point, steps
             trusting = point if boldness == 1.0 else self._trusting(model, point, boldness)
-            jacobian = self.jacobian(model, trusting, free=free) if carried is None else carried
+            jacobian = self.jacobian(model, trusting, free=free, near=jacobian) if carried is None else carried
             ahead, damping = self.step(model, trusting, damping, free, jacobian)
             stale, carried = carried is not None, None
             if ahead is not trusting:

@@ -3,6 +3,11 @@
 Each machine may be off its drive file by a tolerance. What the file says of how well its parameters are known comes to
 that, with their correlations: a constant force that the logs hardly told from the friction of either direction is then
 no effect of the machine. Of a trace slower than its loop the instant of a row is known to a sample of the loop.
+
+Under a load that never changes, nothing tells the load's share of the friction from the screw's: only their sum moves.
+Left free, both would lie along a valley that is bent, since each moves by its logarithm. No fit gets along such a
+valley where a fine scale tells the sum to a millionth; it stops somewhere, and the next effect seems to explain what is
+left.
 """
 
 import dataclasses
@@ -45,16 +50,34 @@ def tolerated(tolerance: float) -> Float[np.ndarray, "b b"]:
 
 
 def prior_root(
-    drive: Drive, tolerance: float, uncertainty: Uncertainty | None = None, loop_samples: int = 1
+    drive: Drive,
+    tolerance: float,
+    uncertainty: Uncertainty | None = None,
+    loop_samples: int = 1,
+    load: float | None = None,
 ) -> Float[np.ndarray, "b b"]:
     """The symmetric root of that covariance, of what the drive file says of how well it is known beside that, and of
     the instant of rows that are each one of `loop_samples`: it is equally likely anywhere within one of these.
+
+    `load` (N) is given where it never changes.
     """
     own = tolerated(tolerance)
     if loop_samples > 1:
         own[NAMES.index(DELAY), NAMES.index(DELAY)] = 1.0 / (np.sqrt(12.0) * loop_samples)
-    if uncertainty is None:
-        return own
+    covariance = own @ own
+    if uncertainty is not None:
+        share = _shares(drive, uncertainty)
+        covariance += share @ np.array(uncertainty.correlation) @ share.T
+    if load is not None:
+        summed = _summed(drive, load)
+        covariance = summed @ covariance @ summed.T
+    values, along = np.linalg.eigh(covariance)
+    moves = np.diag(covariance) > 0.0  # rounding moves nothing
+    return np.outer(moves, moves) * ((along * np.sqrt(np.maximum(values, 0.0))) @ along.T)
+
+
+def _shares(drive: Drive, uncertainty: Uncertainty) -> Float[np.ndarray, "b k"]:
+    """Of each number of the calibration, as shares of the parameters' standard normal numbers."""
     share = np.zeros((len(NAMES), len(uncertainty.names)))
     for k, (path, stated) in enumerate(zip(uncertainty.names, uncertainty.deviations, strict=True)):
         part, _, name = path.partition(".")
@@ -62,8 +85,25 @@ def prior_root(
             value = attrgetter(f"{part}.{one}")(drive)
             value = value.positive if isinstance(value, Directional) else value  # both directions move together
             share[NAMES.index(one), k] = _deviation(one, float(value), stated)
-    values, along = np.linalg.eigh(own @ own + share @ np.array(uncertainty.correlation) @ share.T)
-    return (along * np.sqrt(np.maximum(values, 0.0))) @ along.T
+    return share
+
+
+def _summed(drive: Drive, load: float) -> Float[np.ndarray, "b b"]:
+    """What is said of b, as said of one where the larger of the screw's and the load's share of the Coulomb friction
+    stands for both.
+    """
+    summed, friction = np.eye(len(NAMES)), drive.friction
+    for side in ("positive", "negative"):
+        forces = {
+            f"coulomb_screw.{side}": float(getattr(friction.coulomb_screw, side)),
+            f"load_coefficient.{side}": float(getattr(friction.load_coefficient, side))
+            * (float(friction.initial_load) + load),
+        }
+        less, more = sorted(forces, key=lambda name: abs(forces[name]))
+        if forces[more]:
+            summed[NAMES.index(more), NAMES.index(less)] = forces[less] / forces[more]
+            summed[NAMES.index(less)] = 0.0
+    return summed
 
 
 def _deviation(name: str, value: float, stated: Deviation) -> float:

@@ -60,6 +60,12 @@ class Logged(NamedTuple):
         return max(self.owner) + 1
 
     @property
+    def constant_load(self) -> float | None:
+        """The load (N) where it never changes, else None."""
+        loads = np.unique(np.asarray(self.lanes.load)[np.asarray(self.lanes.counts) > 0.0])
+        return float(loads[0]) if loads.size == 1 else None
+
+    @property
     def lasts(self) -> Float[np.ndarray, " logs"]:
         """When (s) each log ends."""
         ends = np.asarray(self.starts) + np.asarray(self.lanes.counts).sum(axis=1) * self.sampling.period

@@ -56,6 +56,15 @@ def gap_reduction(before: ModelComparison, after: ModelComparison, rate: float) 
     return GapReduction(float(shares[0]), float(low), float(high))
 
 
+def is_hidden(found: Explanation) -> bool:
+    """Whether recalibration alone tells the logs as well as what was found, but with a nominal parameter moved far: a
+    payload is a heavier table. Then no log holds one against the other, what either leaves is the same, and the drive
+    file decides.
+    """
+    told = float(found.base.filtered.deviance) - float(found.best.filtered.deviance)
+    return told < WORTH and relieves(found.best, found.base)
+
+
 def gap_reductions(found: Explanation, comparisons: list[ModelComparison], rate: float) -> list[float | None]:
     """Of each effect found, the share that it surely takes of what the model before it leaves beyond the floor, at the
     low end of its interval; none where what was found cannot be, or foresees what is held out worse than nothing.

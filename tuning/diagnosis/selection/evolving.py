@@ -1,4 +1,4 @@
-"""Where a fit of a coupled effect should begin: differential evolution on the stretches that tell most.
+"""Where a fit of a coupled effect should begin: an evolution strategy on the stretches that tell most.
 
 A motor behind a dead zone strikes the table a few times a second. A gap that is off by a twentieth mistimes every blow,
 so that the cost is flat far from the truth and steep near it: no gradient leads there, nor does a coarse grid. A
@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, PyTree
+from scipy.stats import qmc
 
 from diffdrive.effects.base import Effect
 from diffdrive.effects.stages import Effects
@@ -22,20 +23,30 @@ from diffdrive.model.parameters import Drive
 from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.filter.ekf import ProcessNoise, deviance_of, run_filter
 from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.goodness_of_fit import WORTH
 from tuning.diagnosis.gap.lines import missing_force
-from tuning.diagnosis.hypotheses.model import Logged, Model, Vector, effect_in_lanes, machine, signals_along, stacked
+from tuning.diagnosis.hypotheses.model import Logged, Model, Vector, effect_in_lanes, machine, signals_along
 from tuning.identification.prediction import Lanes, initial_velocity
-from tuning.optimisation.evolution import Budget, evolve
+from tuning.optimisation.adaptation import Minimum, minimum
 from tuning.store.store import Store, digest
 
 STRETCHES, LENGTH, LEAD = 8, 0.4, 0.1  # how many, s that count, s before them in which the filter settles
 REACH = 1.6  # standard deviations of the prior, to either side
-SAMPLE, SIMULATIONS, POPULATION = 512, 3000, 6  # at first, in all; members per number searched
+SAMPLE, SIMULATIONS = 512, 1500  # points that fill the prior evenly, and those of the search from the best of them
+WITHOUT = 64  # of lasting and process forces, where nothing is coupled: two numbers, as densely as the others
 AT_ONCE = 12  # members that are filtered at once: more would not stay in cache
+POPULATION = 2 * AT_ONCE  # of a generation: with half of it the search ends in the wrong one of neighbouring funnels
 PUSH = 0.15  # of the friction, to either side: another effect's lasting force would pass for a wider or narrower gap
 PROCESS = (1e-2, 1e2)  # N, lasting
 PROCESSES = " processes"  # beside the names of parameters
 WHITE = 3.0  # times that in a period: a blow that is a little early or late is forgiven
+
+
+class Evolved(NamedTuple):
+    """Where a fit should begin."""
+
+    values: dict[str, Vector]
+    processes: Float[np.ndarray, "w 2"]  # N
 
 
 class Stretches(NamedTuple):
@@ -109,26 +120,24 @@ def _deviances(
 
 def evolved_once(
     store: Store | None, fitted: Fitted, model: Model, index: int, theta: Vector, seed: int | None = None
-) -> tuple[dict[str, Vector], np.ndarray]:
+) -> Evolved | None:
     """`evolved`, kept in the store or taken from there."""
     if store is None:
         return evolved(fitted, model, index, theta, seed)
     key = digest("evolved", fitted.model, fitted.theta, fitted.drive, fitted.filtered, model, index, theta, seed)
     kept = store.read(key)
     if kept is None:
-        values, processes = evolved(fitted, model, index, theta, seed)
-        store.write(key, values | {PROCESSES: processes})
-        return values, processes
-    processes = kept.pop(PROCESSES)
-    return kept, processes
+        found = evolved(fitted, model, index, theta, seed)
+        store.write(key, {} if found is None else found.values | {PROCESSES: found.processes})
+        return found
+    return Evolved(kept, kept.pop(PROCESSES)) if kept else None
 
 
-def evolved(
-    fitted: Fitted, model: Model, index: int, theta: Vector, seed: int | None = None
-) -> tuple[dict[str, Vector], np.ndarray]:
+def evolved(fitted: Fitted, model: Model, index: int, theta: Vector, seed: int | None = None) -> Evolved | None:
     """The likeliest parameters of a coupled member of `model`, and process forces; all else is at `theta`.
 
-    `fitted` says where most is missing. With a `seed` the search begins at `theta`, and in the middle without.
+    `fitted` says where most is missing. With a `seed` the search begins at `theta`. Without, it begins at the best of a
+    sample of all that is expected, and ends with None where it finds nothing likelier than without that member.
     """
     logged, candidate = model.logged, model.members[index].candidate
     others = dataclasses.replace(model, members=(*model.members[:index], *model.members[index + 1 :]))
@@ -151,26 +160,46 @@ def evolved(
         first[: len(free)] = np.clip(0.5 + np.array(there) / (2 * REACH), 0.0, 1.0)
     places = telling(fitted)
     if not places:  # nothing is missing, or nobody can say where
-        return values(first), forces(first)
+        return Evolved(values(first), forces(first))
     stretches = cut(logged, signals_along(logged, own, loose, fitted.filtered.trajectory), places)
 
-    def in_stretches(share: Float[np.ndarray, " k"]) -> Effect:
-        return effect_in_lanes(candidate.effect, values(share), stretches.owner)
+    usual = effect_in_lanes(candidate.effect, {}, stretches.owner)
+
+    def in_stretches(shares: Float[np.ndarray, "s k"]) -> Effect:
+        """The effect of every member over the stretches, as one whose numbers are arrays."""
+        members = [values(share) for share in shares]
+        known = {name: np.array([one[name][:1] for one in members]) for name in members[0]}
+        fields = {field.name: known.get(field.name, getattr(usual, field.name)) for field in dataclasses.fields(usual)}
+        size = len(shares), len(stretches.owner)
+        return candidate.effect(**{name: np.broadcast_to(value, size) for name, value in fields.items()})
 
     lanes = np.array([logged.owner.index(k) for k in stretches.owner])
     beside = within and jax.tree.map(lambda one: one[lanes], within)
 
-    def costs(shares: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " s"]:
-        size = POPULATION * shares.shape[1]  # of a generation: one program for all, whatever their number
-        filled = np.pad(shares, ((0, -len(shares) % size), (0, 0)), mode="edge")
-        return np.concatenate([block(some) for some in np.split(filled, len(filled) // size)])[: len(shares)]
+    def besides(count: int) -> Effects:
+        return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *leaf.shape)), (*beside,))
 
-    def block(shares: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " s"]:
-        members = stacked([(*beside, in_stretches(share)) for share in shares])
+    def costs(shares: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " s"]:
+        filled = np.pad(shares, ((0, -len(shares) % AT_ONCE), (0, 0)), mode="edge")  # one program for any number
+        blocks = np.split(filled, len(filled) // AT_ONCE)
+        found = [deviances(some, (*besides(AT_ONCE), in_stretches(some))) for some in blocks]
+        return np.concatenate(found)[: len(shares)]
+
+    def deviances(shares: Float[np.ndarray, "s k"], members: Effects) -> Float[np.ndarray, " s"]:
         push = PUSH * level * (2.0 * shares[:, -2] - 1.0)
         return np.asarray(_deviances(drive, stretches, members, push, forces(shares), logged))
 
-    budget = Budget(SIMULATIONS, np.inf, -np.inf)
-    screened = SAMPLE if seed is None else 0
-    found = evolve(costs, first, budget, population=POPULATION, screened=screened, seed=seed or 0)
-    return values(found.share), forces(found.share)
+    def searched(start: Float[np.ndarray, " k"], seed: int) -> Minimum:
+        apart = SAMPLE ** (-1.0 / len(start))  # of the points of a sample, from one to the next
+        return minimum(
+            costs, start, 0.5 * apart, population=POPULATION, simulations=SIMULATIONS, tolerance=WORTH, seed=seed
+        )
+
+    if seed is not None:
+        share = searched(first, seed).share
+        return Evolved(values(share), forces(share))
+    around = qmc.Sobol(2, seed=0).random(WITHOUT)
+    without = float(np.nanmin(deviances(around, besides(WITHOUT)), initial=np.inf))
+    sample = np.vstack([first, qmc.Sobol(len(first), seed=0).random(SAMPLE)])
+    found = searched(sample[int(np.argmin(np.nan_to_num(costs(sample), nan=np.inf)))], 0)
+    return Evolved(values(found.share), forces(found.share)) if found.cost < without else None

@@ -7,7 +7,7 @@ import numpy as np
 
 from tuning.diagnosis.fits.fitted import Fitted, Point
 from tuning.diagnosis.fits.fitting import MOST_STEPS, NEAR, Fitter
-from tuning.diagnosis.fits.goodness_of_fit import SLIGHT, WORTH, is_implausible
+from tuning.diagnosis.fits.goodness_of_fit import SLIGHT, WORTH, is_complete, is_implausible
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.harmonics import at_its_root
@@ -156,12 +156,14 @@ def searched_again(fitter: Fitter, before: Fitted, one: Fitted) -> Fitted:
     its = one.model.of_member(index)
     for seed in range(1, 1 + SEARCHES):
         theta = one.theta.copy()
-        values, processes = evolved_once(fitter.store, before, one.model, index, theta, seed)
-        theta[its] = begin(one.model, values, index)
+        found = evolved_once(fitter.store, before, one.model, index, theta, seed)
+        if found is None:
+            return one
+        theta[its] = begin(one.model, found.values, index)
         there = fitter.with_process(
             fitter.at(one.model, theta, one.process_noise, one.filtered.trajectory),
             one.model,
-            np.vstack([one.process_noise * NEAR, processes * NEAR]),
+            np.vstack([one.process_noise * NEAR, found.processes * NEAR]),
         )
         other = likelier(one, fitter.fit(one.model, there.theta, there.process_noise, there.filtered.trajectory))
         if one.evidence - other.evidence < WORTH:
@@ -185,4 +187,21 @@ def refit_rivals(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
         if further is fits[0]:
             break
         fits = possible([further, *fits[1:]])
-    return fits
+    if not fits or fits[0].model.coupled or is_complete(fitter, fits[0]):
+        return fits
+    other = refit_without_process_force(fitter, fits[0])
+    return possible([to_its_end(fitter, other), *fits]) if likelier(fits[0], other) is other else fits
+
+
+def refit_without_process_force(fitter: Fitter, one: Fitted) -> Fitted:
+    """The fit begun again where the filter may invent hardly any force.
+
+    Parameters and process force are fitted in turn, each to the other as it is, and such a search has more than one
+    end. From a large process force, which blames the filter for what the parameters should tell, it may not find the
+    end at which the model tells all; from the least one it does, where there is one.
+    """
+    trajectory = one.filtered.trajectory
+    there = fitter.with_process(
+        fitter.at(one.model, one.theta, fitter.floor, trajectory), one.model, fitter.quiet(fitter.floor)
+    )
+    return fitter.fit(one.model, there.theta, there.process_noise, there.filtered.trajectory)

@@ -7,6 +7,7 @@ projection for each point of its grid, no fit (Rao's score test).
 
 import dataclasses
 import operator
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -42,7 +43,7 @@ from tuning.diagnosis.selection.starting_points import starting_points
 from tuning.store.store import Arrays
 
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
-BEST = 3  # of a grid, whose way is made, and that are tried under other process forces too
+BEST = 3  # of a grid, at which more is done than to screen it
 LIKELY, BETWEEN = 2, 8  # points of a grid about which it is refined, and how many are tried there
 LITTLE, MUCH = 0.1, 2.0  # of a point of a grid, how far a secant is believed
 GLANCE = 2  # steps of a fit, by which what had made up for an effect makes way for it
@@ -79,9 +80,10 @@ def read_screened(candidate: Candidate, piece: Arrays) -> Screened:
     return Screened(candidate, float(gain), float(evidence), values, *others)
 
 
-def sensitivities(
-    fitted: Fitted, candidate: Candidate, point: Values
-) -> tuple[Float[np.ndarray, "m k"], list[tuple[Parameter, int | None]]]:
+Labels = list[tuple[Parameter, int | None]]
+
+
+def sensitivities(fitted: Fitted, candidate: Candidate, point: Values) -> tuple[Float[np.ndarray, "m k"], Labels]:
     """Derivatives of the residuals by each amplitude of the candidate at a point of its grid, and what each is of:
     a parameter, in units of its prior, and of which log; zero where the filter was lost.
 
@@ -89,11 +91,20 @@ def sensitivities(
     order that is what it does beside them, but for what answers the motor's force beside another of the actuator's.
     """
     columns, bend, labels = _small_changes(fitted, candidate, point)
+    alone = _as_one_mass(fitted, columns, bend)
     if not fitted.model.coupled:
-        return _as_one_mass(fitted, columns, bend), labels
-    model, theta, process_noise, filtered = fitted.model, fitted.theta, fitted.process_noise, fitted.filtered
-    found = by_acts(model, theta, process_noise, filtered, fitted.drive, fitted.signals, np.asarray(columns), bend)
+        return alone, labels
+    found = by_acts(
+        fitted.model, fitted.theta, fitted.process_noise, fitted.filtered, fitted.drive, fitted.signals,
+        np.asarray(columns), bend, alone,
+    )  # fmt: skip
     return _of_residuals(fitted, found), labels
+
+
+def _without_answers(fitted: Fitted, candidate: Candidate, point: Values) -> tuple[Float[np.ndarray, "m k"], Labels]:
+    """`sensitivities` by the linear recursion alone, without the effects within the filter; zero where it runs away."""
+    columns, bend, labels = _small_changes(fitted, candidate, point)
+    return np.nan_to_num(_as_one_mass(fitted, columns, bend), posinf=0.0, neginf=0.0), labels
 
 
 def _as_one_mass(fitted: Fitted, columns: Float[Array, "p m"], bend: EffectSignals) -> Float[np.ndarray, "n m"]:
@@ -142,13 +153,27 @@ def _pushed(fitted: Fitted) -> Logged:
 
 
 def screen(fitted: Fitted, candidate: Candidate) -> Screened:
-    """The best point of the grid of a candidate with amplitudes; of no evidence where there is none."""
-    found = [_screened(fitted, candidate, point) for point in starting_points(fitted, candidate)]
+    """The best point of the grid of a candidate with amplitudes; of no evidence where there is none.
+
+    Beside effects within the filter, whose differences cost much, the best are told by the linear recursion first.
+    """
+    first = _without_answers if fitted.model.coupled else sensitivities
+
+    def at(points: Iterable[Values]) -> list[tuple[Screened, Values]]:
+        return [(_screened(fitted, candidate, point, first), point) for point in points]
+
+    def likelier(one: tuple[Screened, Values]) -> float:
+        return -one[0].evidence
+
+    found = sorted(at(starting_points(fitted, candidate)), key=likelier)
     if candidate.narrow:
-        likely = sorted(found, key=lambda one: -one.evidence)[:LIKELY]
-        found += [_screened(fitted, candidate, point) for one in likely for point in _about(candidate, one)]
+        found += at(point for one, _ in found[:LIKELY] for point in _about(candidate, one))
+        found.sort(key=likelier)
+    best = [one for one, _ in found[:BEST]]
+    if fitted.model.coupled:
+        best = [_screened(fitted, candidate, point, sensitivities) for _, point in found[:BEST]]
     nothing = Screened(candidate, 0.0, -np.inf, {}, fitted.theta, fitted.theta, fitted.process_noise * TRIED)
-    return max(found, key=lambda one: one.evidence, default=nothing)
+    return max(best, key=lambda one: one.evidence, default=nothing)
 
 
 def _about(candidate: Candidate, found: Screened) -> list[Values]:
@@ -160,10 +185,15 @@ def _about(candidate: Candidate, found: Screened) -> list[Values]:
     return [fixed | {candidate.narrow: fixed[candidate.narrow] * np.exp(share)} for share in shares]
 
 
-def _screened(fitted: Fitted, candidate: Candidate, point: Values) -> Screened:
-    """What the candidate would explain at a point of its grid."""
+def _screened(
+    fitted: Fitted,
+    candidate: Candidate,
+    point: Values,
+    derivatives: Callable[[Fitted, Candidate, Values], tuple[Float[np.ndarray, "m k"], Labels]],
+) -> Screened:
+    """What the candidate would explain at a point of its grid, by these derivatives of the residuals."""
     logged, values = fitted.model.logged, dict(point)
-    d, labels = sensitivities(fitted, candidate, values)
+    d, labels = derivatives(fitted, candidate, values)
     schur, slope, left, making_way = reduced(fitted, d)
     schur = schur + np.eye(len(schur))
     amount = -solved(schur, slope)
@@ -177,8 +207,9 @@ def _screened(fitted: Fitted, candidate: Candidate, point: Values) -> Screened:
     return Screened(candidate, gain, evidence, values, rest, aside, fitted.process_noise * TRIED)
 
 
-def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
-    """The best point of the grid of a candidate that is not there by degrees, or the best that a search finds.
+def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened | None:
+    """The best point of the grid of a candidate that is not there by degrees, or the best that a search finds; None
+    where that finds none that is likelier than nothing.
 
     About the nominal parameters too, as long as recalibration may have gone astray to make up for what is missing; and
     with what is free already moved to make way: what recalibration has made up for is worse with the effect at first.
@@ -189,8 +220,10 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened:
     points, processes = starting_points(fitted, candidate), fitted.process_noise * TRIED
     if candidate.searched:
         last = len(model.members) - 1
-        best, process_noise = evolved_once(fitter.store, fitted, model, last, np.r_[before, begin(model, {})])
-        points, processes = [best], np.vstack([processes, process_noise])
+        sought = evolved_once(fitter.store, fitted, model, last, np.r_[before, begin(model, {})])
+        if sought is None:
+            return None
+        points, processes = [sought.values], np.vstack([processes, sought.processes])
 
     def tried_from(calibration: Vector, values: Values) -> tuple[Point, Values]:
         theta = np.r_[calibration, begin(model, values)]

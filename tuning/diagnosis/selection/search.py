@@ -89,9 +89,9 @@ def recalibrated(
     `members` are effects that the nominal drive has, with nothing free; `uncertainty` is what its file doubts. Raises
     `ParameterError` for a drive that no filter can run.
     """
-    model = Model(
-        fitter.logged, members, prior_root(fitter.logged.drive, tolerance, uncertainty, fitter.logged.loop_samples)
-    )
+    logged = fitter.logged
+    prior = prior_root(logged.drive, tolerance, uncertainty, logged.loop_samples, logged.constant_load)
+    model = Model(logged, members, prior)
     found = fitter.fit(model, np.zeros(model.size), None, initial_trajectory(fitter.logged))
     if not np.isfinite(found.evidence):
         raise ParameterError(
@@ -101,8 +101,8 @@ def recalibrated(
     return found
 
 
-def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
-    def found() -> Screened:
+def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened | None:
+    def found() -> Screened | None:
         if any(one.amplitude for one in candidate.parameters):
             return screen(before, candidate)
         return tried(fitter, before, candidate)
@@ -115,7 +115,8 @@ def _screened(fitter: Fitter, before: Fitted, candidate: Candidate) -> Screened:
     if kept is not None:
         return read_screened(candidate, kept)
     screened = found()
-    fitter.store.write(key, written_screened(screened))
+    if screened is not None:
+        fitter.store.write(key, written_screened(screened))
     return screened
 
 
@@ -242,10 +243,10 @@ def _race(
     Those that would explain not half as much as the best wait for its fit: where that explains everything, none of
     them will do as well.
     """
-    screened = in_parallel(
+    found = in_parallel(
         lambda one: _screened(fitter, before, one), catalogue, lambda k: progress("screening", k, len(catalogue))
     )
-    screened.sort(key=lambda one: -one.evidence)
+    screened = sorted((one for one in found if one is not None), key=lambda one: -one.evidence)
     promising = _promising(screened)
     promising += _bringing_back(before, known, apart_from(_likeliest(screened), promising))
     alone = {one.model.members[-1].candidate.kind: one for one in known}

@@ -120,8 +120,8 @@ def _scatter(sums: Moments, solution: Solution) -> float:
 def unlikelihood(solution: Solution, birge: float) -> float:
     """-2 log evidence of a minimum (Laplace), the noise of the moments being as large as they scatter."""
     problem, left = solution.problem, _of_moments(solution)
-    volume = np.linalg.slogdet(problem.curvature(solution.point, birge))[1] + 2.0 * np.sum(np.log(problem.spread))
-    return left / birge + solution.cost - left + float(volume)
+    volume = problem.curvature(solution.point, birge).log_determinant + 2.0 * float(np.sum(np.log(problem.spread)))
+    return left / birge + solution.cost - left + volume
 
 
 def _left(several: Sequence[Equation] | Sequence[Condition], mix: np.ndarray, theta: np.ndarray) -> float:
@@ -142,7 +142,7 @@ def with_covariance(candidate: Candidate, samples: int | None = None) -> LawFit:
         rest = replace(problem, regressors=regressors, commands=commands)
         deleted.append(rest.minimise(point, steps=DELETED_STEPS)[0])
     around = np.stack(deleted) - np.mean(deleted, axis=0)
-    inverse = np.linalg.inv(problem.curvature(point))
+    inverse = problem.curvature(point).inverse
     from_expected = inverse @ np.diag(problem.spread**-2) @ inverse
     covariance = candidate.excess_misfit * (sums.blocks - 1) / sums.blocks * around.T @ around + from_expected
     rows = samples if samples is not None else float(Law(*point).window.real)
@@ -161,7 +161,7 @@ def _mixture(candidate: Candidate, covariance: Float[np.ndarray, "p p"]) -> tupl
     minima, birge = [candidate.solution, *candidate.others], candidate.birge
     unlikely = np.array([unlikelihood(one, birge) for one in minima])
     share = np.exp(-0.5 * (unlikely - unlikely[0]))
-    own = [covariance, *(np.linalg.inv(one.problem.curvature(one.point, birge)) for one in candidate.others)]
+    own = [covariance, *(one.problem.curvature(one.point, birge).inverse for one in candidate.others)]
     return tuple(
         Alternative(float(weight), one.point, spread)
         for weight, one, spread in zip(share / np.sum(share), minima, own, strict=True)

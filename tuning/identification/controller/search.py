@@ -59,6 +59,33 @@ def weights(law: Law, reading: Reading) -> np.ndarray:
     return np.ones((1, *np.shape(law.log_kp))) if reading is Reading.EVERY_SAMPLE else interpolation(law.shift)
 
 
+class Curvature(NamedTuple):
+    """J'J by the triangle of J = QR, its columns of unit length: what the product would round away is kept.
+
+    The moments of a log without noise are worth 1e17 of what was expected. J'J is then singular to rounding, J is not.
+    """
+
+    root: np.ndarray  # R of the unit columns
+    scale: np.ndarray  # the columns' lengths
+
+    @classmethod
+    def of(cls, jacobian: np.ndarray) -> "Curvature":
+        """Of a Jacobian with as many rows as columns, or more."""
+        scale = np.linalg.norm(jacobian, axis=0)
+        return cls(np.linalg.qr(jacobian / scale, mode="r"), scale)
+
+    @property
+    def log_determinant(self) -> float:
+        """The logarithm of the determinant of J'J."""
+        return 2.0 * float(np.sum(np.log(np.abs(np.diag(self.root)))) + np.sum(np.log(self.scale)))
+
+    @property
+    def inverse(self) -> np.ndarray:
+        """The inverse of J'J: the covariance, symmetric and positive."""
+        half = np.linalg.inv(self.root) / self.scale[:, None]
+        return half @ half.T
+
+
 @dataclass(frozen=True)
 class Problem:
     """Least squares of a log's moments, in their standard deviations, and of what was expected."""
@@ -85,11 +112,10 @@ class Problem:
         """Derivative of the residuals."""
         return self._of_points(point[:, None] + 1j * TINY * np.eye(len(point)), held).imag / TINY
 
-    def curvature(self, point: np.ndarray, birge: float = 1.0) -> np.ndarray:
+    def curvature(self, point: np.ndarray, birge: float = 1.0) -> Curvature:
         """Of half the sum of squares, those of the moments scattering more than their noise by that factor."""
         jacobian, free = self.jacobian(point), len(point)
-        moments, expected = jacobian[:-free], jacobian[-free:]
-        return moments.T @ moments / birge + expected.T @ expected
+        return Curvature.of(np.concatenate([jacobian[:-free] / np.sqrt(birge), jacobian[-free:]]))
 
     def _of_points(self, points: np.ndarray, held: float) -> np.ndarray:
         """The residuals at points [p, m] side by side, [q + p, m]."""

@@ -19,6 +19,7 @@ from tuning.diagnosis.selection import evolving, refit
 from tuning.diagnosis.selection.first_fits import fit_from
 from tuning.diagnosis.selection.screening import begin, joined, screen, sensitivities
 from tuning.diagnosis.selection.search import _bringing_back, initial_trajectory, recalibrated, select_next_effect
+from tuning.optimisation.adaptation import Minimum
 
 PLAY = {"gap": 5e-6, "frequency": 450.0, "damping": 0.08, "motor_share": 0.4, "table_friction": 0.4}
 
@@ -64,6 +65,10 @@ def test_an_effect_within_the_filter_is_fitted_and_its_jacobian_is_that_of_the_i
             (ahead - behind) / (2.0 * h) / np.asarray(point.filtered.innovation_std) * fitter.counts
         ).ravel() * unit
         assert np.linalg.norm(slope - jacobian[:, k]) < 0.1 * np.linalg.norm(slope), k
+    again = fitter.jacobian(fit.model, point, near=1.4 * jacobian)  # steps of a like size at once
+    np.testing.assert_array_less(
+        np.linalg.norm(again - jacobian, axis=0), 0.05 * np.linalg.norm(jacobian, axis=0) + 1e-9
+    )
 
 
 def test_a_base_that_swings_with_little_damping_is_screened_between_the_points_of_the_grid(sound):
@@ -132,12 +137,20 @@ def test_a_population_keeps_to_the_screws_that_can_be(sound, monkeypatch):
     for share in (0.0, 1.0):
         monkeypatch.setattr(
             evolving,
-            "evolve",
-            lambda costs, first, budget, share=share, **more: SimpleNamespace(share=0.0 * first + share),
+            "minimum",
+            lambda costs, start, spread, share=share, **more: Minimum(0.0 * start + share, -np.inf, 1),
         )
         values, _ = evolving.evolved(base, model, 0, np.r_[base.theta, begin(model, {})])
         assert values["frequency"][0] == pytest.approx(300.0 + 10.0 * share)
         assert values["damping"][0] <= 0.01
+
+
+def test_a_search_for_a_screw_ends_with_nothing_where_none_is_likelier_than_a_stiff_one(sound):
+    fitter, base = sound
+    candidate = next(one for one in catalogue(fitter, base) if one.name == "backlash")
+    wide = candidate._replace(bounds=(("gap", 1e-3, 1e-2),))  # a table that a millimetre of play would let go
+    model = joined(base.model, wide)
+    assert evolving.evolved(base, model, 0, np.r_[base.theta, begin(model, {})]) is None
 
 
 @pytest.mark.slow
@@ -227,7 +240,8 @@ def test_a_screw_is_searched_for_again_beside_a_tilt_as_long_as_it_helps(sound, 
 
     def evolved(store, before, model, index, theta, seed):
         asked.append((index, seed))
-        return {name: 1.1 * value for name, value in model.values(theta)[index].items()}, np.array([1.0, 1.0])
+        further = {name: 1.1 * value for name, value in model.values(theta)[index].items()}
+        return evolving.Evolved(further, np.ones((1, 2)))
 
     class Fits(type(fitter)):
         def fit(self, model, theta, process_noise, trajectory):

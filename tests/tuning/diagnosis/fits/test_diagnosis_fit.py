@@ -25,7 +25,7 @@ from tuning.diagnosis.fits.goodness_of_fit import (
     max_prior_deviation,
     missing_evidence,
 )
-from tuning.diagnosis.hypotheses.calibration import LOGARITHMS, NAMES, TOLERANCE, calibrated
+from tuning.diagnosis.hypotheses.calibration import LOGARITHMS, NAMES, TOLERANCE, calibrated, tolerated
 from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
@@ -362,13 +362,15 @@ def test_the_least_process_force_hides_in_the_noise_of_a_fine_scale(sound):
     fitter = Fitter(logged_of(light, [simulate_log(fine, two_sines(1.5))]))
     base = recalibrated(fitter, TOLERANCE)
     gain = next(one for one in catalogue(fitter, base) if one.name == "force_gain")
-    model = joined(base.model, gain)
-    lighter = np.r_[base.theta + scaled * np.log(0.92) / TOLERANCE, gain.parameters[0].standard(-0.08)]
+    one_by_one = dataclasses.replace(base.model, prior=tolerated(TOLERANCE))  # the load's friction by itself, too
+    there = base.model.prior @ base.theta / TOLERANCE
+    model = joined(one_by_one, gain)
+    lighter = np.r_[there + scaled * np.log(0.92) / TOLERANCE, gain.parameters[0].standard(-0.08)]
 
     def apart(least):
         told = [
             float(fitter.at(one, theta, np.full(2, least), base.filtered.trajectory).filtered.deviance)
-            for one, theta in ((base.model, base.theta), (model, lighter))
+            for one, theta in ((one_by_one, there), (model, lighter))
         ]
         return abs(told[1] - told[0])
 

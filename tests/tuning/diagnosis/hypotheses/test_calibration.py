@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def covariance(root):
 
 def test_without_a_stated_uncertainty_each_parameter_has_its_tolerance_and_the_force_none():
     root = prior_root(DRIVE, 0.02)
-    np.testing.assert_array_equal(root, tolerated(0.02))
+    np.testing.assert_allclose(root, tolerated(0.02), rtol=1e-12, atol=0.0)
     for fixed in (FORCE, DELAY):
         assert not root[NAMES.index(fixed)].any()
 
@@ -83,6 +84,29 @@ def test_newtons_of_a_gap_are_a_share_of_it_and_no_more_than_a_factor_that_can_b
     drive = axis_with("friction.breakaway_gap", value)
     found = deviation_of(drive, "friction.breakaway_gap.positive", "breakaway_gap.positive", Deviation(3.0, False))
     assert found == pytest.approx(np.hypot(expected, 0.02))
+
+
+@pytest.mark.parametrize("load", [0.0, 400_000.0])
+def test_under_one_load_the_sum_of_screw_and_load_friction_moves_as_both_did_and_nothing_else(load):
+    """Whichever of the two is larger stands for both, to first order."""
+    root = prior_root(DRIVE, 0.02, STATED, load=load)
+    fixed = "load_coefficient" if load == 0.0 else "coulomb_screw"
+    screw, guide = DRIVE.friction.coulomb_screw.positive, DRIVE.friction.load_coefficient.positive
+    assert (screw > guide * (DRIVE.friction.initial_load + load)) == (fixed == "load_coefficient")
+    for side in ("positive", "negative"):
+        stays = NAMES.index(f"{fixed}.{side}")
+        assert not root[stays].any()
+        assert not root[:, stays].any()
+
+    def shown(b):
+        """The Coulomb friction (N) to either side, and all that is no part of it."""
+        others = [k for k, name in enumerate(NAMES) if name.split(".")[0] not in ("coulomb_screw", "load_coefficient")]
+        friction = calibrated(DRIVE, b).friction.coulomb_at(load)
+        return jnp.r_[friction.positive, friction.negative, b[jnp.array(others)]]
+
+    slopes = np.asarray(jax.jacfwd(shown)(jnp.zeros(len(NAMES))))
+    free = prior_root(DRIVE, 0.02, STATED)
+    np.testing.assert_allclose(covariance(slopes @ root), covariance(slopes @ free), rtol=1e-9, atol=1e-9)
 
 
 def test_what_recalibration_does_not_move_is_no_part_of_it():

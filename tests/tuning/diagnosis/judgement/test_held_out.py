@@ -8,6 +8,7 @@ import pytest
 
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.effects.friction import AppliedLoad
+from tests.support.fake_fits import fake_fit
 from tests.support.sound_log import DRIVE, simulate_log, two_sines
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.gap.gap import ForceGap, LoopGap
@@ -19,6 +20,7 @@ from tuning.diagnosis.judgement.held_out import (
     confirmed,
     fails_validation,
     gap_reduction,
+    is_hidden,
     left_in_loop,
     prune_on_validation,
 )
@@ -48,6 +50,17 @@ def test_a_model_is_denied_by_more_than_chance_and_more_than_a_little():
     )  # some pieces say so, others the contrary
     assert not fails_validation(comparison(50.0), comparison(0.0, moved=20.0), 500.0)  # by numbers that cannot be
     assert fails_validation(comparison(50.0, moved=20.0), comparison(0.0, moved=20.0), 500.0)
+
+
+@pytest.mark.parametrize(
+    ("moved", "gained", "hidden"),
+    [(8.5, 0.1, True), (8.5, 500.0, False), (1.0, 0.1, False)],
+)
+def test_recalibration_hides_what_it_tells_as_well_by_a_number_moved_far(moved, gained, hidden):
+    base = fake_fit(evidence=0.0, max_prior_deviation=moved)
+    best = fake_fit("payload_mass", evidence=-60.0 - gained)
+    base.filtered, best.filtered = (SimpleNamespace(deviance=one) for one in (0.0, -gained))
+    assert is_hidden(Explanation(base, [], best)) == hidden
 
 
 def in_loop(position, floor, command=0.0, says="", coarse=True):

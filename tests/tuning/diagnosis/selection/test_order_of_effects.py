@@ -24,7 +24,7 @@ from tuning.diagnosis.fits.goodness_of_fit import (
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.setting import Setting
-from tuning.diagnosis.selection import explain, search
+from tuning.diagnosis.selection import explain, refit, search
 from tuning.diagnosis.selection.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, _further, evidence_needed
 from tuning.diagnosis.selection.refit import refit_rivals, to_its_end
 from tuning.diagnosis.selection.search import CLOSE, SETTLED, Round, _again, _ranked
@@ -219,7 +219,9 @@ def test_where_the_filter_was_lost_all_along_a_second_effect_must_bring_more(mon
     assert evidence_needed(None, base, best, False, [fake_fit("backlash", evidence=-2e4)]) == SLIGHTER * 1e4
 
 
-def test_a_fit_that_leads_to_no_machine_that_can_be_is_not_gone_on_with():
+def test_a_fit_that_leads_to_no_machine_that_can_be_is_not_gone_on_with(monkeypatch):
+    monkeypatch.setattr(refit, "is_complete", lambda *_: True)  # else it is begun again without process force
+
     def fitter(further):
         return SimpleNamespace(fit=lambda *_: further)
 

@@ -1,0 +1,67 @@
+"""A cost of a few numbers without a gradient worth following, minimised by covariance matrix adaptation.
+
+CMA-ES (Hansen and Ostermeier 2001, in cma) learns from the best of each generation along which ways the cost is narrow.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+Costs = Callable[[Float[np.ndarray, "s k"]], Float[np.ndarray, " s"]]
+
+WORST = 1e30  # the cost of what is not finite: cma ranks no infinity
+
+
+class Minimum(NamedTuple):
+    """The best point that was seen, its cost, and how many points were."""
+
+    share: Float[np.ndarray, " k"]
+    cost: float
+    simulations: int
+
+
+def minimum(
+    costs: Costs,
+    start: Float[np.ndarray, " k"],
+    spread: float,
+    *,
+    population: int,
+    simulations: int,
+    tolerance: float,
+    seed: int = 0,
+) -> Minimum:
+    """Minimise `costs`, which takes points [s, k], over the unit cube.
+
+    From `start`, `population` points at a time, at first `spread` apart; until the generations of late differ by less
+    than `tolerance`, or after `simulations`, the generation that passes them included. A cost that is not finite is the
+    worst. The same seed gives the same answer.
+    """
+    import cma  # takes a second: only where it is used
+
+    rng = np.random.default_rng(seed)
+    options = {
+        "bounds": [0.0, 1.0],
+        "popsize": population,
+        "tolfun": tolerance,
+        "tolfunhist": tolerance,
+        "verbose": -9,
+        "signals_filename": "",
+        "randn": lambda *shape: rng.standard_normal(shape),
+        "seed": np.nan,  # it would seed numpy's global generator
+    }
+    best, cost, done = start, _finite(costs(start[None]))[0], 1
+    strategy = cma.CMAEvolutionStrategy(start, spread, options)
+    while done < simulations and not strategy.stop():
+        points = np.array(strategy.ask())
+        found = _finite(costs(points))
+        strategy.tell(list(points), list(found))
+        done += len(points)
+        if found.min() < cost:
+            best, cost = points[int(np.argmin(found))], found.min()
+    return Minimum(best, float(cost), done)
+
+
+def _finite(costs: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"]:
+    return np.nan_to_num(costs, nan=WORST, posinf=WORST)
