@@ -11,23 +11,16 @@ from diffdrive.model.quantity import Directional, quantity
 from diffdrive.numerics.arrays import Scalar
 
 
-class _Lag(NamedTuple):
-    """One first-order lag 1 / (tau s + 1), exact for an input that is linear between samples."""
-
-    output: Scalar
-    last_input: Scalar
-
-    def step(self, value: Scalar, tau: Scalar, period: float) -> "_Lag":
-        decay = jnp.exp(-period / tau)
-        share = (1.0 - decay) * tau / period
-        return _Lag(decay * self.output + (share - decay) * self.last_input + (1.0 - share) * value, value)
-
-
 class DisturbanceState(NamedTuple):
-    """Two lags in series, for the position and for the force."""
+    """Two lags in series, for the position and for the force.
 
-    position: tuple[_Lag, _Lag]
-    force: tuple[Scalar, Scalar]
+    Those of the position are kept as output minus input: a rounding of the position itself, in the place where it is
+    differenced twice, would be a force of 1e-10 N, and of newtons in single precision.
+    """
+
+    position: Scalar  # m, of the last sample
+    lags: tuple[Scalar, Scalar]  # m
+    force: tuple[Scalar, Scalar]  # N
 
 
 class DisturbanceObserver(eqx.Module):
@@ -53,23 +46,23 @@ class DisturbanceObserver(eqx.Module):
     def init(self, position: Scalar) -> DisturbanceState:
         """At rest at `position`."""
         zero = jnp.zeros_like(position)
-        settled = _Lag(position + zero, position + zero)
-        return DisturbanceState((settled, settled), (zero, zero))
+        return DisturbanceState(position + zero, (zero, zero), (zero, zero))
 
     def step(
         self, state: DisturbanceState, position: Scalar, force: Scalar, period: float
     ) -> tuple[DisturbanceState, Scalar]:
         """The disturbance (N); `force` (N) acted over the last period, `position` (m) is measured now."""
         tau = 1.0 / (2.0 * jnp.pi * self.cutoff)
-        first = state.position[0].step(position, tau, period)
-        second = state.position[1].step(first.output, tau, period)
         decay = jnp.exp(-period / tau)
+        share = (1.0 - decay) * tau / period
+        moved = position - state.position
+        first = decay * state.lags[0] - share * moved
+        second = decay * state.lags[1] - share * (moved + (first - state.lags[0]))
         force1 = decay * state.force[0] + (1.0 - decay) * force
         force2 = decay * state.force[1] + (1.0 - decay) * force1
-        velocity = (first.output - second.output) / tau
-        acceleration = (position - 2.0 * first.output + second.output) / tau**2
+        velocity, acceleration = -second / tau, (second - first) / tau**2
         disturbance = force2 - self.mass * acceleration - self.damping.towards(velocity) * velocity
-        return DisturbanceState((first, second), (force1, force2)), disturbance
+        return DisturbanceState(position, (first, second), (force1, force2)), disturbance
 
 
 # its model of the machine is that of [plant]

@@ -7,7 +7,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from experiments.drives import PAPER_DRIVE
+from diffdrive.library import PAPER_DRIVE
 
 COMMAND = (sys.executable, "-c", "from experiments.cli.main import main; main()", "simulate", str(PAPER_DRIVE))
 REPOSITORY = Path(__file__).resolve().parents[2]

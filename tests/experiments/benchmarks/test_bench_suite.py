@@ -118,7 +118,7 @@ def test_every_panel_is_drawn():
     lanes = {"columns": ["lanes", "ns a lane-step"], "rows": [[1, 500.0], [64, 50.0]]}
     others = {"columns": ["what", "ns", "over PD"], "rows": [["PD", 40.0, 1.0], ["PD+FC", 60.0, 1.5]]}
     figure = bench_figure({"lanes": lanes, "controllers": others, "effects": others})
-    assert [axis.get_title() for axis in figure.axes] == ["Lanes on one core", "Controllers", "Effects"]
+    assert [axis.get_title(loc="left") for axis in figure.axes] == ["Lanes on one core", "Controllers", "Effects"]
     assert [len(axis.patches) for axis in figure.axes] == [0, 2, 2]
     rows = [[5, "ours", 260.0, 1.0, 400.0], [5, "C", 270.0, 1.0, 390.0]]
     (axis,) = bench_figure({"single": {"columns": ["substeps", "what", "ns a step"], "rows": rows}}).axes

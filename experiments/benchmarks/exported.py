@@ -1,0 +1,105 @@
+"""The exported C code beside the simulator, bit for bit, and the time that a step of it takes.
+
+    python -m experiments.benchmarks.exported
+
+compiles each kind of controller, with its own gains and with gains at random, and replays 50,000 steps. The simulator
+is compiled without fused products and sums, so that both round alike.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+FUSION_OFF = "--xla_cpu_max_isa=AVX"  # the last instruction set of x86 without fused products and sums
+STEPS = 50_000
+# of the largest value of each output: a few units of the last place, times what the disturbance observer's coefficient
+# 1 - exp(-w T) loses of its exponential, which is the library's here and XLA's there
+TOLERANCE = 1e-12
+TIMER = Path(__file__).with_name("exported_time.c")
+
+
+def main() -> None:
+    """Print a table; end with 1 where a kind differs by more than the tolerance."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--seeds", type=int, default=3, help="how many sets of gains at random")
+    parser.add_argument("--no-time", action="store_true", help="leave the time of a step out")
+    given = parser.parse_args()
+    if FUSION_OFF not in os.environ.get("XLA_FLAGS", ""):
+        flags = f"{os.environ.get('XLA_FLAGS', '')} {FUSION_OFF}".strip()
+        sys.exit(
+            subprocess.run(
+                [sys.executable, "-m", __spec__.name, *sys.argv[1:]], env=os.environ | {"XLA_FLAGS": flags}
+            ).returncode
+        )
+    from diffdrive.runtime import configure
+
+    configure()
+    sys.exit(0 if _agree(given.seeds, not given.no_time) else 1)
+
+
+def _agree(seeds: int, timed: bool) -> bool:
+    """Whether every kind agrees."""
+    import numpy as np
+
+    from diffdrive import motion
+    from diffdrive.paper import example_controllers, paper_axis
+    from diffdrive.simulation import simulate
+    from experiments.exports.compiled import replayed
+    from experiments.exports.replay import replay_of
+    from experiments.exports.targets import TARGETS
+    from experiments.exports.trace import program_of
+
+    agrees = True
+    for kind in example_controllers(paper_axis().drive):
+        axis = paper_axis(kind)
+        duration = (STEPS - 1) / axis.rate
+        lap = motion.sine(amplitude=5e-3, frequency=2.0, duration=duration, rate=axis.rate)
+        run = simulate(axis, lap, 5e3)
+        for seed in range(seeds + 1):
+            random = np.random.default_rng(seed)
+            gains = {name: float(gain) * 2.0 ** random.uniform(-1, 1) for name, gain in axis.gains.items()}
+            other = axis.with_gains(**gains) if seed else axis
+            program = program_of(other.controller, 1.0 / axis.rate, "axis")
+            replay = replay_of(program, other, lap, run)
+            files = TARGETS["c99"].write(program, kind, replay, dict.fromkeys(replay.outputs, TOLERANCE))
+            differences = replayed("axis", files)
+            if not differences:
+                sys.stdout.write("no C compiler on this machine\n")
+                return False
+            within = max(differences.values()) <= TOLERANCE
+            agrees = agrees and within
+            told = ", ".join(f"{name} {value:.1e}" for name, value in differences.items())
+            gains_text = f"gains at random, seed {seed}" if seed else "its own gains"
+            sys.stdout.write(f"{kind}, {gains_text}: {told}{'' if within else '  BEYOND'}\n")
+        if timed:
+            for single in (False, True):
+                program = program_of(axis.controller, 1.0 / axis.rate, "axis", single=single)
+                sys.stdout.write(f"    {'single' if single else 'double'}: {_step_time(program, lap, axis, run)}\n")
+    return agrees
+
+
+def _step_time(program: object, lap: object, axis: object, run: object) -> str:
+    """Median and largest time of a step."""
+    from diffdrive.support.atomic_write import write_text
+    from experiments.exports.compiled import compiler
+    from experiments.exports.replay import replay_of
+    from experiments.exports.targets import TARGETS
+
+    replay = replay_of(program, axis, lap, run)  # type: ignore[arg-type]
+    files = TARGETS["c99"].write(program, "time", replay, dict.fromkeys(replay.outputs, 1.0))  # type: ignore[arg-type]
+    with tempfile.TemporaryDirectory() as folder:
+        for file, content in files.items():
+            write_text(Path(folder) / file, str(content))
+        count = len(program.inputs)  # type: ignore[attr-defined]
+        options = [f"-DINPUTS={count}", f"-DREAL={'float' if program.single else 'double'}"]  # type: ignore[attr-defined]
+        options += ["-std=gnu99", "-O2", "-march=native", "-I.", "-o", "time", str(TIMER), "axis.c", "-lm"]
+        subprocess.run([*(compiler() or ["cc"]), *options], cwd=folder, check=True)
+        ran = subprocess.run([f"{folder}/time", "axis_run.csv"], cwd=folder, check=True, capture_output=True, text=True)
+    return ran.stdout.strip()
+
+
+if __name__ == "__main__":
+    main()

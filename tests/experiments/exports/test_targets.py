@@ -1,0 +1,320 @@
+"""Structured Text, FMU and HAL: accepted by an independent compiler or tool, and the same answers."""
+
+import io
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import pytest
+
+from diffdrive.axis_file.drive_file import read_axis
+from diffdrive.errors import ParameterError
+from diffdrive.model.data_sheet import DataSheet
+from diffdrive.paper import paper_axis
+from experiments.exports.fmu import fmu_files
+from experiments.exports.hal import hal_files
+from experiments.exports.program import ExportError
+from experiments.exports.structured_text import st_files
+from experiments.exports.targets import TARGETS
+from experiments.exports.trace import program_of
+from experiments.exports.workflow import export
+from tests.support.exported import COMPILERS, VARIANTS, has, lap, replayed_program
+
+HARNESS = """
+#include "POUS.h"
+#include <stdio.h>
+#include "POUS.c"
+TIME __CURRENT_TIME;
+BOOL __DEBUG;
+int main(void)
+{
+    static AXIS_X_BENCH bench;
+    AXIS_X_BENCH_init__(&bench, 0);
+    for (int call = 0; call < 501; ++call) {
+        AXIS_X_BENCH_body__(&bench);
+    }
+    printf("%g", (double)bench.DEVIATION.value);
+    return bench.DONE.value && bench.PASSED.value ? 0 : 1;
+}
+"""
+NOT_A_NUMBER = """
+#include "POUS.h"
+#include <math.h>
+#include <stdio.h>
+#include "POUS.c"
+TIME __CURRENT_TIME;
+BOOL __DEBUG;
+int main(void)
+{
+    static AXIS_X controller;
+    AXIS_X_init__(&controller, 0);
+    for (int call = 0; call < 12; ++call) {
+        controller.SCALE_POSITION.value = call == 5 ? NAN : 1e-7 * call;
+        AXIS_X_body__(&controller);
+        printf("%g ", (double)controller.FORCE.value);
+    }
+    return 0;
+}
+"""
+with_matiec = pytest.mark.skipif(
+    not has("iec2c"), reason="no MatIEC (iec2c) on this machine: build github.com/beremiz/matiec"
+)
+TOLERANCES = dict.fromkeys(("force", "friction_estimate", "innovation", "load_estimate", "velocity_estimate"), 1e-9)
+
+
+def written(files, folder):
+    for file, content in files.items():
+        path = folder / file
+        path.write_bytes(content) if isinstance(content, bytes) else path.write_text(content)
+
+
+def run_by_matiec(text, harness, folder):
+    """Structured Text as `axis_x.st`, compiled with a program in C around it, and run."""
+    (folder / "axis_x.st").write_text(text)
+    (folder / "harness.c").write_text(harness)
+    matiec = os.environ.get("IEC2C", "iec2c")
+    library = os.environ.get("MATIEC_LIB") or os.path.join(os.path.dirname(shutil.which(matiec)), "lib")
+    made = subprocess.run(
+        [matiec, "-I", library, "-T", str(folder), "axis_x.st"], cwd=folder, capture_output=True, text=True
+    )
+    assert made.returncode == 0, made.stderr
+    subprocess.run(["gcc", "-w", f"-I{library}/C", "-o", "bench", "harness.c", "-lm"], cwd=folder, check=True)
+    return subprocess.run([folder / "bench"], cwd=folder, capture_output=True, text=True)
+
+
+@pytest.mark.long
+@with_matiec
+@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("single", [False, True], ids=["LREAL", "REAL"])
+def test_an_independent_compiler_takes_the_structured_text_and_its_bench_passes(name, single, tmp_path):
+    program, replay = replayed_program(VARIANTS[name], samples=501, single=single)
+    text = "".join(st_files(program, "a test", replay, {"force": 0.02 if single else 1e-9}).values())
+    ran = run_by_matiec(text, HARNESS, tmp_path)
+    assert ran.returncode == 0, ran.stdout
+
+
+@pytest.mark.long
+@with_matiec
+@pytest.mark.parametrize("name", ["cascade, all parts", "pd+fc+le"])
+def test_a_position_that_is_no_number_is_seen_in_the_command_of_structured_text(name, tmp_path):
+    """Also behind a force limit: a full command would be the worst answer."""
+    program, replay = replayed_program(VARIANTS[name], samples=501)
+    text = "".join(st_files(program, "a test", replay, TOLERANCES).values())
+    ran = run_by_matiec(text, NOT_A_NUMBER, tmp_path)
+    forces = [float(force) for force in ran.stdout.split()]
+    assert [math.isnan(force) for force in forces] == [False] * 5 + [True] * 7
+
+
+def test_structured_text_takes_parameters_with_and_without_a_restart():
+    program, replay = replayed_program(VARIANTS["cascade, all parts"], samples=301)
+    block = st_files(program, "a test", replay, TOLERANCES)["axis_x.st"]
+    condition = "IF restart OR update_parameters OR NOT initialised THEN\n"
+    parameters, rest = block.split(condition)[1].split("END_IF;", 1)
+    start = rest.split("IF restart OR NOT initialised THEN\n")[1].split("END_IF;")[0]
+    assert "k_kp := kp;" in parameters
+    assert "s_" not in parameters
+    assert all(f"s_{one.name}" in start for one in program.states)
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_structured_text_declares_each_name_once(name):
+    program, replay = replayed_program(VARIANTS[name], samples=501)
+    block = st_files(program, "a *) test", replay, TOLERANCES)["axis_x.st"]
+    head = block.split("END_VAR\n\nIF", 1)[0]
+    names = [line.split(" : ")[0].strip().lower() for line in head.splitlines() if " : " in line and line[:4] == "    "]
+    assert len(names) == len(set(names))
+    assert block.count("*)") == block.count("(*")
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
+@pytest.mark.parametrize("name", ["cascade, motor", pytest.param("pd+fc+ls", marks=pytest.mark.long)])
+def test_the_fmu_is_valid_and_replays_the_run(name, tmp_path):
+    validation = pytest.importorskip("fmpy.validation", reason="FMPy is not installed")
+    program, replay = replayed_program(VARIANTS[name], samples=501)
+    files = fmu_files(program, 'a <"&> test', replay, TOLERANCES)
+    written(files, tmp_path)
+    assert validation.validate_fmu(str(tmp_path / "axis_x.fmu")) == []
+    ran = subprocess.run([sys.executable, str(tmp_path / "axis_x_fmu_bench.py")], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert files["axis_x.fmu"] == fmu_files(program, 'a <"&> test', replay, TOLERANCES)["axis_x.fmu"]
+
+
+def token_of(files):
+    with zipfile.ZipFile(io.BytesIO(files["axis_x.fmu"])) as archive:
+        return re.search('instantiationToken="(.*?)"', archive.read("modelDescription.xml").decode())[1]
+
+
+def test_the_token_of_an_fmu_is_that_of_its_gains(monkeypatch):
+    monkeypatch.setattr("experiments.exports.fmu.compiler", lambda: None)
+    axis = VARIANTS["pd"]
+    _, replay = replayed_program(axis, samples=501)
+    other = axis.with_gains(kp=2.0 * axis.gains["kp"])
+    programs = [program_of(one.controller, 1.0 / axis.rate, "axis_x") for one in (axis, axis, other)]
+    first, again, changed = (token_of(fmu_files(one, "a test", replay, TOLERANCES)) for one in programs)
+    assert first == again != changed
+
+
+def test_a_title_that_no_xml_holds_leaves_the_description_readable(monkeypatch):
+    monkeypatch.setattr("experiments.exports.fmu.compiler", lambda: None)
+    program, replay = replayed_program(VARIANTS["pd"], samples=501)
+    files = fmu_files(program, 'a "\x01" <test> \ud800', replay, TOLERANCES)
+    with zipfile.ZipFile(io.BytesIO(files["axis_x.fmu"])) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    assert root.get("description") == 'a "?" <test> ?'
+
+
+def test_an_fmu_without_a_compiler_has_its_sources(monkeypatch, tmp_path):
+    monkeypatch.setattr("experiments.exports.fmu.compiler", lambda: None)
+    program, replay = replayed_program(VARIANTS["pd"], samples=501)
+    written(fmu_files(program, "a test", replay, TOLERANCES), tmp_path)
+    with zipfile.ZipFile(tmp_path / "axis_x.fmu") as archive:
+        names = set(archive.namelist())
+    assert {
+        "modelDescription.xml",
+        "sources/axis_x.c",
+        "sources/axis_x_fmi3.c",
+        "sources/buildDescription.xml",
+    } <= names
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not has("halcompile"), reason="no halcompile (linuxcnc-uspace-dev) on this machine")
+@pytest.mark.parametrize("name", ["cascade, all parts", "pd+fc+le"])
+def test_the_hal_component_builds(name, tmp_path):
+    program, replay = replayed_program(VARIANTS[name], samples=501)
+    written(hal_files(program, 'a "test"', replay, TOLERANCES), tmp_path)
+    made = subprocess.run(["halcompile", "--compile", "axis_x.comp"], cwd=tmp_path, capture_output=True, text=True)
+    assert made.returncode == 0, made.stdout + made.stderr
+    assert (tmp_path / "axis_x.so").exists()
+
+
+PERIOD_HARNESS = """
+#include "axis_x_hal.h"
+int main(void)
+{
+    const long periods[] = {99857, 100000, 1000000, 25000, 0};
+    int right = 0;
+    for (int i = 0; i < 5; ++i) {
+        right |= axis_x_is_period(periods[i]) << i;
+    }
+    return right;
+}
+"""
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
+def test_a_component_in_a_thread_of_another_period_gives_no_force(tmp_path):
+    """The servo thread of most configurations has 1 ms: gains for 10 kHz would run in it without a word."""
+    program, replay = replayed_program(VARIANTS["pd"], samples=301)
+    written(hal_files(program, "a test", replay, TOLERANCES), tmp_path)
+    for header in ("math", "string"):  # of LinuxCNC
+        (tmp_path / f"rtapi_{header}.h").write_text(f"#include <{header}.h>\n")
+    (tmp_path / "harness.c").write_text(PERIOD_HARNESS)
+    subprocess.run([COMPILERS[0], "-I.", "-w", "-o", "harness", "harness.c", "-lm"], cwd=tmp_path, check=True)
+    assert subprocess.run([tmp_path / "harness"]).returncode == 0b00011
+    component = (tmp_path / "axis_x.comp").read_text()
+    assert "pin out bit wrong_period" in component
+    assert "option period no" not in component
+    bench = (tmp_path / "axis_x_hal_bench.py").read_text()
+    assert "period1=100000 " in bench.replace('"', " ")
+
+
+STEP = """
+import sys
+from fmpy import extract, read_model_description
+from fmpy.fmi3 import FMU3Slave
+description, folder = read_model_description(sys.argv[1]), extract(sys.argv[1])
+one = FMU3Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier="axis_x", instanceName="one")
+one.instantiate()
+one.enterInitializationMode()
+one.exitInitializationMode()
+try:
+    one.doStep(0.0, float(sys.argv[2]))
+except Exception:
+    sys.exit(3)
+"""
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
+@pytest.mark.parametrize(("step", "code"), [("1e-3", 0), ("inf", 3), ("nan", 3), ("-1e-3", 3)])
+def test_a_step_of_an_fmu_that_has_no_end_is_refused(step, code, tmp_path):
+    pytest.importorskip("fmpy", reason="FMPy is not installed")
+    program, replay = replayed_program(VARIANTS["pd"], samples=301)
+    written(fmu_files(program, "a test", replay, TOLERANCES), tmp_path)
+    command = [sys.executable, "-c", STEP, str(tmp_path / "axis_x.fmu"), step]
+    assert subprocess.run(command, capture_output=True, text=True, timeout=60).returncode == code
+
+
+def test_a_name_that_is_too_long_for_hal_is_refused_with_the_length_that_is_not():
+    axis = VARIANTS["pd+fc+ls"]
+    program, replay = replayed_program(axis, samples=501)
+    object.__setattr__(program, "name", "an_axis_of_a_long_name")
+    with pytest.raises(ExportError, match=r"may have 1\d letters"):
+        hal_files(program, "a test", replay, TOLERANCES)
+
+
+@pytest.mark.parametrize("name", ["gantry", "pid", "PID"])
+def test_no_component_of_linuxcnc_is_replaced(name, tmp_path):
+    axis = VARIANTS["pd"]
+    with pytest.raises(ExportError, match="has a component of this name"):
+        export(axis, lap(axis, 501), tmp_path, target="hal", name=name)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_every_target_writes_what_it_says(target, tmp_path):
+    axis = paper_axis("pd")
+    result = export(axis, lap(axis, 501), tmp_path / "code", target=target)
+    assert {path.name for path in (tmp_path / "code").iterdir()} == set(result.files)
+    assert result.status.ok
+    assert result.files[0] in result.summary()
+    saved = result.save(tmp_path / "code")
+    assert saved.name == "export.json"
+
+
+@pytest.mark.parametrize("target", ["c99", "structured-text", "hal"])
+def test_a_rotary_axis_has_radians_and_newton_metres(target, tmp_path):
+    axis = replace(paper_axis("pd"), sheet=DataSheet(kind="rotary"))
+    export(axis, lap(axis, 501), tmp_path, target=target, name="table")
+    head = (tmp_path / f"table.{ {'c99': 'h', 'structured-text': 'st', 'hal': 'comp'}[target] }").read_text()
+    assert "rad/s: reference velocity" in head
+    assert "N*m: force command" in head
+    assert "N*m*s/rad: derivative gain" in head
+    assert not re.search(r"[ \"](m|N|m/s|N/m|N\*s/m): ", head)
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
+def test_the_fmu_of_a_rotary_axis_is_valid(tmp_path):
+    validation = pytest.importorskip("fmpy.validation", reason="FMPy is not installed")
+    axis = replace(paper_axis("pd+fc"), sheet=DataSheet(kind="rotary"))
+    export(axis, lap(axis, 501), tmp_path, target="fmu", name="table")
+    assert validation.validate_fmu(str(tmp_path / "table.fmu")) == []
+    with zipfile.ZipFile(tmp_path / "table.fmu") as archive:
+        description = archive.read("modelDescription.xml").decode()
+    assert '<BaseUnit rad="1"/>' in description
+    assert (
+        'name="start_position" valueReference="1" causality="parameter" variability="fixed" unit="rad"' in description
+    )
+
+
+def test_a_command_that_only_the_amplifier_limits_is_noted(tmp_path):
+    axis = read_axis("cnc")
+    assert any("9425 N" in note for note in export(axis, lap(axis, 501), tmp_path, target="structured-text").notes)
+    limited = axis.with_controller(replace(axis.controller, force_limit=5e3))
+    assert not any("limit" in note for note in export(limited, lap(axis, 501), tmp_path, target="c99").notes)
+
+
+def test_what_is_not_known_is_refused(tmp_path):
+    axis = paper_axis("pd")
+    with pytest.raises(ParameterError, match="c99"):
+        export(axis, lap(axis, 501), tmp_path, target="pascal")
+    with pytest.raises(ParameterError, match="precision"):
+        export(axis, lap(axis, 501), tmp_path, precision="half")
+    with pytest.raises(ExportError, match="double"):
+        export(axis, lap(axis, 501), tmp_path, target="fmu", precision="single")
+    assert not list(tmp_path.iterdir())
