@@ -1,0 +1,1 @@
+"""The page itself: what needs the framework stands here, and is imported only by `diffdrive app`."""
