@@ -6,11 +6,14 @@ import re
 from pathlib import Path
 
 import numpy as np
+import platformdirs
 import pytest
 
 from diffdrive.axis_file import reference as drive_file
 from diffdrive.controllers import KINDS
 from diffdrive.effects import EFFECTS
+from diffdrive.library import listing as library
+from diffdrive.library.search import FOLDERS
 from diffdrive.logs.formats.registry import READERS
 from diffdrive.motion import reference as motions
 from diffdrive.motion.text import LOAD_UNITS, LOADS, MOTION_UNITS, MOTIONS, parse_load, parse_motion
@@ -40,6 +43,12 @@ def test_the_page_of_a_catalogue_explains_each_of_its_names(page, names):
     text = (ROOT / "docs" / "reference" / page).read_text(encoding="utf-8")
     told = {word.strip("`") for cell in re.findall(r"^\|([^|]+)\|", text, re.M) for word in cell.split()}
     assert [name for name in names if name not in told] == []
+
+
+def test_the_list_of_axes_in_the_docs_is_current(monkeypatch, tmp_path):
+    monkeypatch.delenv(FOLDERS, raising=False)
+    monkeypatch.setattr(platformdirs, "user_config_dir", lambda *_, **__: str(tmp_path))
+    assert library.markdown() in (ROOT / "docs" / "reference" / "axes.md").read_text(encoding="utf-8")
 
 
 def test_the_reference_of_motions_in_the_docs_is_current():

@@ -27,6 +27,7 @@ from diffdrive.loop.linearise import OperatingPoint, open_loop, response
 from diffdrive.loop.run import Run
 from diffdrive.numerics.arrays import as_arrays
 from experiments.cli.main import app
+from experiments.reports.page.sections import SECTIONS
 from tests.support.perturbed_machine import catalogue, fitter_of
 from tests.support.sound_log import DRIVE, SOUND
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
@@ -44,6 +45,7 @@ MODULES = {
     "A check of logs": "warm",
     "An objective of tuning": "objective",
     "A figure of a report": "figure",
+    "A section of the page": "guides",
 }
 PROGRAM = "import {}\nfrom experiments.cli.main import main\n\nmain()\n"
 AXIS = dd.paper_axis()
@@ -84,7 +86,7 @@ def shop(package):
         patch.undo()
     for registry, name in (
         (EFFECTS, "counterbalance"), (KINDS, "damped"), (READERS, ".trc"), (AGGREGATIONS, "sum of squares"),
-        (examine._REGISTERED, "shop.warm.warm"),
+        (examine._REGISTERED, "shop.warm.warm"), (SECTIONS, "load_on_the_guides"),
     ):  # fmt: skip
         registry.remove(name)
     experiments.section.register(Run, section)
@@ -216,3 +218,12 @@ def test_a_figure_is_in_every_report_of_its_result(shop, tmp_path):
     assert {"run.csv", "run.json", "run.png", "error_over_position.png"} <= {path.name for path in tmp_path.iterdir()}
     first, *_, last = json.loads((tmp_path / "result.json").read_text())["figures"]
     assert (first, last) == ("run.png", "error_over_position.png")  # behind what is written anyway
+
+
+def test_a_section_is_on_every_page_that_has_something_for_it(shop, tmp_path):
+    dd.paper_axis("pd+fc+ls").write(tmp_path / "axis.toml")
+    told("simulate", tmp_path / "axis.toml", "--motion", SINE, "--load", "8kN", "--out", tmp_path / "run")
+    text = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert re.search(r"<h2>Load on the guides</h2>\s*<p>8000 N at most, \S+ N estimated.</p>", text)
+    told("template", "--out", tmp_path / "template")
+    assert "Load on the guides" not in (tmp_path / "template" / "report.html").read_text(encoding="utf-8")

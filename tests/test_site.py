@@ -59,7 +59,7 @@ def test_every_entry_of_the_reference_has_a_docstring_of_its_own(entries):
 
 def test_the_pictures_of_the_gallery_are_those_that_its_code_saves():
     text = (DOCS / "gallery.md").read_text(encoding="utf-8")
-    saved = re.findall(r'savefig\("([\w.-]+)"\)', text)
+    saved = re.findall(r"finish\(.*\"([\w.-]+)\"\)$", text, re.M)
     assert re.findall(r"\]\(figures/gallery/([\w.-]+)\)", text) == saved
     assert sorted(path.name for path in (DOCS / "figures" / "gallery").iterdir()) == sorted(saved)
 

@@ -14,6 +14,7 @@ from experiments.cli.options import (
     Loads,
     Logs,
     Out,
+    Pdf,
     Seed,
     Shifts,
     Svg,
@@ -101,6 +102,7 @@ def check(
         ),
     ] = False,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """Check logs before use: channels, units, repairs, and faults that would bias a fit.
 
@@ -147,6 +149,7 @@ def identify(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Identify in spite of fatal findings.")] = False,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """Identify friction, mass and delay of a drive from its logs, with intervals, and say whether the model suffices.
 
@@ -197,6 +200,7 @@ def compare(
     seed: Seed = 0,
     force: Annotated[bool, typer.Option("--force", help="Compare in spite of fatal findings.")] = False,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """Say what has changed between two sets of logs of one axis: friction, mass, controller gains, backlash.
 
@@ -262,6 +266,7 @@ def diagnose(
         ),
     ] = False,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """Say how large the gap between a drive and its logs is, where it lies, what causes it, and how far it shrinks.
 

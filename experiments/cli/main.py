@@ -10,6 +10,7 @@ from rich.console import Console
 
 from diffdrive.support.atomic_write import NO_SPACE
 from diffdrive.support.messages import printable
+from experiments.cli.app import page
 from experiments.cli.drives import drives
 from experiments.cli.ending import INTERRUPTED, out_folder, watch_signals
 from experiments.cli.logs import logs
@@ -42,8 +43,9 @@ def everywhere(
 ) -> None:
     """Simulate, tune, identify and diagnose a machine-tool feed drive.
 
-    Start with `diffdrive demo`; then `diffdrive template > drive.toml`, edit it, `diffdrive simulate drive.toml`. With
-    a log of your machine: `diffdrive start lap.csv`, then `identify` and `diagnose`.
+    Start with `diffdrive demo`, or with an axis of the library, `diffdrive simulate gantry`; then `diffdrive template >
+    drive.toml`, edit it, `diffdrive simulate drive.toml`. With a log of your machine: `diffdrive start lap.csv`, then
+    `identify` and `diagnose`.
     """
 
 
@@ -54,7 +56,7 @@ def _plain_warning(error: Console) -> Callable[..., None]:
     return show
 
 
-for group in (drives, logs, reference, sweeps, studies):  # in the order of the help text
+for group in (drives, logs, page, reference, sweeps, studies):  # in the order of the help text
     app.add_typer(group)
 
 

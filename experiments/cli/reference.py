@@ -1,4 +1,4 @@
-"""The commands that print a reference text: template, keys, motions."""
+"""The commands that print a reference text: template, axes, keys, motions."""
 
 from typing import Annotated
 
@@ -25,6 +25,28 @@ def template(
     from experiments.cli.template import template as text_of
 
     text(lambda: text_of(controller), out, "drive.toml")
+
+
+@reference.command()
+def axes(
+    name: Annotated[
+        str | None, typer.Argument(help="An axis whose drive file to print.", metavar="[NAME]", show_default=False)
+    ] = None,
+    out: Out = None,
+) -> None:
+    """List the axes of the library (a Markdown table), or print the drive file of one; with --out, write it.
+
+    Every command takes an axis of the library by its name where it takes a drive file. Further ones are the drive files
+    in the folders that the environment variable DIFFDRIVE_AXES names.
+
+    Example: `diffdrive simulate gantry`, or to change it `diffdrive axes gantry > mine.toml`
+    """
+    from diffdrive.library.listing import library_axis, markdown
+
+    if name is None:
+        text(markdown, out, "axes.md")
+    else:
+        text(library_axis(name).text, out, f"{name}.toml")
 
 
 @reference.command()

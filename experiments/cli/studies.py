@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from experiments.cli.command import Computing
-from experiments.cli.options import DriveFile, Out, Seed, StudyFolder, Svg, count_of, finite, seed_of
+from experiments.cli.options import DriveFile, Out, Pdf, Seed, StudyFolder, Svg, count_of, finite, seed_of
 
 PANEL = "Studies of the tool itself"
 
@@ -20,6 +20,7 @@ def tuning_study(
     runs: Annotated[int, typer.Option(callback=count_of, min=1, help="Of each derivative-free search.")] = 3,
     starts: Annotated[int, typer.Option(callback=count_of, min=1, help="Random starts of the gradient search.")] = 10,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """Gradient tuner against CMA-ES, Nelder-Mead and random search on one ensemble (docs/evidence/tuning-study.md).
 
@@ -123,6 +124,7 @@ def convergence(
 def reproduce(
     out: Out = None,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """The paper's Table 1, Figures 4, 5, 7, 8, 9 and 10 and Table 4, ours beside theirs, with every assumption."""
     from experiments.studies.paper.reproduce import reproduce as run
@@ -141,6 +143,7 @@ def bench(
     ] = None,
     out: Out = None,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """How fast is the loop on this machine? Ratios in one run, beside the same step written in C and in numba.
 
@@ -160,6 +163,7 @@ def emps(
     ] = None,
     out: Out = None,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """The EMPS benchmark, a real axis: log checks, inverse dynamics, identification and replay, beside its figures.
 
@@ -186,6 +190,7 @@ def evolution(
     ] = 3,
     out: Out = None,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """Gradient search against differential evolution on one identification problem: what equal quality costs.
 
@@ -206,6 +211,7 @@ def recovery(
         int | None, typer.Option(callback=count_of, min=1, help="Processes; by default one per core.")
     ] = None,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """How well identification recovers known drives, and whether its intervals hold the truth.
 

@@ -8,7 +8,7 @@ import typer
 
 from diffdrive.errors import ParameterError
 from experiments.cli.command import Computing
-from experiments.cli.options import DEFAULT_MOTION, DriveFile, LoadText, Machine, Out, Seed, Settle, Svg, count_of
+from experiments.cli.options import DEFAULT_MOTION, DriveFile, LoadText, Machine, Out, Pdf, Seed, Settle, Svg, count_of
 
 if TYPE_CHECKING:
     from diffdrive.axis import Axis
@@ -51,7 +51,9 @@ def sweep(
     machine: Machine = None,
     against: Annotated[
         list[Path] | None,
-        typer.Option(help="Drive file whose controller gets the same machines, loads and noise; repeatable."),
+        typer.Option(
+            help="Drive file, or axis by name, whose controller gets the same machines, loads and noise; repeatable."
+        ),
     ] = None,
     samples: Annotated[
         int, typer.Option(callback=count_of, min=1, help="Number of machines; powers of two for sobol.")
@@ -75,6 +77,7 @@ def sweep(
     ] = "double",
     out: Out = None,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """Monte Carlo: over machines, loads and noise, how often does the error exceed the tolerance, and why?
 
@@ -145,6 +148,7 @@ def replay(
     motion: Annotated[str | None, typer.Option(help="By its name in the sweep; default the first.")] = None,
     out: Out = None,
     svg: Svg = False,
+    pdf: Pdf = False,
 ) -> None:
     """Run one machine of a sweep again: every signal, its figure, and the machine as a drive file."""
     from diffdrive.runtime import allow_accelerator

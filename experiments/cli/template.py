@@ -1,6 +1,8 @@
 """A complete drive file to start from: the paper's testbed under a controller of one's choice."""
 
-from experiments.drives import PAPER_DRIVE
+import re
+
+from diffdrive.library import PAPER_DRIVE
 
 THE_PAPERS = "pd+fc+le"
 SECTION, AFTER = "[controller]", "[units]"
@@ -32,9 +34,13 @@ velocity_feedforward = 1.0      # share of the reference velocity that is fed fo
 }
 
 
+# where the paper's numbers are from, and how well it knows them, with the comments above: of no use to another machine
+OF_THE_PAPER = re.compile(r"(?:^#[^\n]*\n)*^\[(?:provenance|uncertainty)\]\n(?:[^\n]+\n)*\n?", re.M)
+
+
 def template(kind: str) -> str:
     """The file's text; raises `ParameterError` for a kind of controller that is not known."""
-    text = PAPER_DRIVE.read_text(encoding="utf-8")
+    text = OF_THE_PAPER.sub("", PAPER_DRIVE.read_text(encoding="utf-8")).rstrip() + "\n"
     if kind == THE_PAPERS:
         return text
     before, _, rest = text.partition(SECTION)

@@ -12,6 +12,7 @@ from diffdrive.logs.checks.finding import SEVERITIES, Finding
 from diffdrive.logs.mapping import ColumnMapping, log_and_channel, matches_log
 from diffdrive.model.data_sheet import NO_SHEET, DataSheet
 from diffdrive.motion.text import number
+from experiments.reports.page.log_rows import log_rows
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs, check_logs, require_sound, which_log, with_load
 
@@ -86,6 +87,8 @@ def read_and_check(
         read = zip(paths, read_logs(paths, description), strict=True)
         logs = [with_load(log, (loads or {}).get(path)) for path, log in read]
         checked = check_logs(description, logs, files=paths, checked_before=beside)
+        if report.out is not None:
+            report.page.logs += log_rows(logs, paths)
     found = list(checked.findings)
     for log in logs:
         for note in log.notes:

@@ -1,22 +1,39 @@
 """`diffdrive compare`: what has changed between two sets of logs, with intervals, and a picture of all changes."""
 
 from collections.abc import Sequence
+from math import ceil, log10
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from experiments.reports import readable
 from experiments.reports.axis_file import write_axis_file
+from experiments.reports.charts.missing_force import of_comparison
 from experiments.reports.checked_logs import axis_with_overrides, parse_loads, read_and_check
-from experiments.reports.report import Report, new_figure
+from experiments.reports.report import Report
+from experiments.reports.theme import (
+    BLACK,
+    BLUE,
+    GREY,
+    PALE,
+    REFERENCE,
+    SMALL,
+    VERMILION,
+    drawing,
+    legend_below,
+    new_figure,
+    say,
+)
 from tuning.comparison.change import Change
 from tuning.comparison.result import ComparisonResult
 from tuning.comparison.workflow import compare_checked, require_level
+from tuning.identification.modelled_friction import gap_free_pieces
 from tuning.identification.parameters import FIXABLE, parameter_called
 from tuning.store.folder import FolderStore
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+FEW_DECADES = 2  # of changes, over the smallest that would have been found
 PARTS = "comparison.parts"  # finished searches, from which the same command continues
 
 
@@ -73,10 +90,11 @@ def report_comparison_of_logs(report: Report, result: ComparisonResult) -> None:
         "comparison", status=result.status.message, code=result.status.code, p_unchanged=result.p_unchanged,
         level=result.level,
     )  # fmt: skip
-    for finding in result.findings:
-        report.say(f"{readable.titled(finding.sentence)}.")
-    if not result.findings:
-        report.say(f"No change found (p = {readable.significant(result.p_unchanged)}).")
+    found = [f"{readable.titled(finding.sentence)}." for finding in result.findings]
+    found = found or [f"No change found (p = {readable.significant(result.p_unchanged)})."]
+    report.conclude(*found, good=None if result.status.ok else False)
+    for sentence in found:
+        report.say(sentence)
     names = ("compared", "unit", "before", "after", "change", "at least", "at most", "unit of change", "changed")
     rows = [
         [
@@ -90,6 +108,7 @@ def report_comparison_of_logs(report: Report, result: ComparisonResult) -> None:
         "Before and after, with the 95 % interval of the change",
         ("compared", "unit", "before", "after", "change", "95 % interval", "changed"),
         [_row(one) for one in result.changes],
+        of="changes",
     )
     for note in result.notes:
         report.say(f"{readable.titled(note)}.")
@@ -98,6 +117,9 @@ def report_comparison_of_logs(report: Report, result: ComparisonResult) -> None:
     if name := write_axis_file(report, result.axis, "identified.toml"):
         report.keep("written", file=name)
     report.figure("changes", changes_figure(result.changes))
+    sides = {"before": result.before, "after": result.after}
+    fits = {name: (one.fit, gap_free_pieces(one.logs.logs)) for name, one in sides.items()}
+    report.chart("missing_force", of_comparison(fits))
 
 
 def _row(one: Change) -> list[object]:
@@ -108,24 +130,44 @@ def _row(one: Change) -> list[object]:
     ]  # fmt: skip
 
 
+@drawing
 def changes_figure(changes: Sequence[Change]) -> "Figure":
     """Each change with its interval, over the smallest change that would have been found: beyond 1 it shows."""
     rows = [one for one in reversed(changes) if one.smallest]
-    figure, axis = new_figure(1, 1, width=10.0, height=1.2 + 0.3 * len(rows))
-    axis.axvspan(-1.0, 1.0, color="0.92", label="changes of this size are often missed")
-    axis.axvline(0.0, color="k", lw=0.8)
+    figure, axis = new_figure(height=1.5 + 0.27 * len(rows))
+    axis.axvspan(-1.0, 1.0, color=PALE, lw=0, label="changes of this size are often missed")
+    axis.axvline(0.0, **REFERENCE)
+    named: set[bool] = set()
     for k, one in enumerate(rows):
         value, low, high = (number / (one.smallest or 1.0) for number in one.change)
-        colour = "C3" if one.has_changed else "C0"
-        axis.errorbar(value, k, xerr=[[value - low], [high - value]], fmt="o", color=colour, capsize=3, ms=5)
+        look = {"color": VERMILION, "fmt": "s"} if one.has_changed else {"color": BLUE, "fmt": "o"}
+        label = None if one.has_changed in named else "changed" if one.has_changed else "no change found"
+        named.add(one.has_changed)
+        axis.errorbar(value, k, xerr=[[value - low], [high - value]], capsize=3, ms=5, label=label, **look)
         text, between = readable.interval(*(one.factor * number for number in one.change))
+        unit = "" if one.shown_unit == "1" else f" {readable.readable(one.shown_unit)}"
         axis.annotate(
-            f"{text} ({between}) {one.shown_unit}", (1.01, k), xycoords=("axes fraction", "data"), va="center",
-            fontsize=8, color=colour if one.has_changed else "0.4",
+            f"{text} ({between}){unit}", (1.01, k), va="center",
+            xycoords=("axes fraction", "data"), fontsize=SMALL, color=BLACK if one.has_changed else GREY,
         )  # fmt: skip
     # a change of a hundred times what would be seen leaves the others legible
     axis.set_xscale("symlog", linthresh=2.0)
-    axis.set(ylim=(-0.6, len(rows) - 0.4), xlabel="change over the smallest that would have been found")
-    axis.set_yticks(range(len(rows)), [one.path for one in rows], fontsize=8)
-    axis.legend(loc="lower right", fontsize=8)
+    most = max(abs(number) / (one.smallest or 1.0) for one in rows for number in one.change) if rows else 1.0
+    decades = ceil(log10(max(most, 2.0)))
+    digits = (5.0, 10.0) if decades <= FEW_DECADES else (10.0,)  # numbers would hide each other
+    marks = [1.0, 2.0, *(digit * 10.0**k for k in range(decades) for digit in digits)]
+    ticks = sorted({0.0, *marks, *(-mark for mark in marks)})
+    left, right = axis.get_xlim()
+    axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.set_xlim(left, right)
+    axis.set(ylim=(-0.6, len(rows) - 0.4), xlabel="change over the smallest that would have been found (ratio)")
+    axis.set_yticks(range(len(rows)), [one.path for one in rows])
+    legend_below(figure)
+    changed = [one for one in rows if one.has_changed]
+    first = max(changed, key=lambda one: abs(one.change[0]) / (one.smallest or 1.0), default=None)
+    finding = f"{len(changed)} of {len(rows)} quantities have changed"
+    if first is not None:
+        text, _ = readable.interval(*(first.factor * number for number in first.change))
+        finding += f", most clearly {first.path}: {text} {readable.readable(first.shown_unit)}"
+    say(figure, finding)
     return figure

@@ -16,7 +16,7 @@ def report_controller(report: Report, estimate: ControllerEstimate) -> None:
     names = ("gain", "unit", "estimated", "from", "to", "determined")
     rows = [[one.name, one.unit, one.value, one.low, one.high, one.determined] for one in estimate.gains]
     report.record("controller", names, rows)
-    report.show("Gains of the controller, with 95 % intervals", names, rows)
+    report.show("Gains of the controller, with 95 % intervals", names, rows, of="controller")
     for note in estimate.notes:
         report.say(note)
     if not estimate.status.ok:

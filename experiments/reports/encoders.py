@@ -6,12 +6,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from diffdrive.logs.encoders.result import EncoderComparison
-from experiments.reports.report import Report, named_file, new_figure
+from experiments.reports import readable
+from experiments.reports.charts.encoders import encoders_chart
+from experiments.reports.report import Report, named_file
+from experiments.reports.theme import BLACK, GREEN, SKY, VERMILION, drawing, legend_below, new_figure, say
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_POINTS = 20_000  # of a picture
+LEAST_SPAN = 0.01  # µm of an axis: finer marks would be of rounding alone
 
 
 def report_encoders(report: Report, comparisons: Sequence[EncoderComparison]) -> None:
@@ -45,8 +49,10 @@ def report_encoders(report: Report, comparisons: Sequence[EncoderComparison]) ->
     for one in comparisons:
         name = "encoders" if len(comparisons) == 1 else f"encoders_{named_file(one.log)}"
         report.figure(name, encoders_figure(one))
+        report.chart(name, encoders_chart(one))
 
 
+@drawing
 def encoders_figure(comparison: EncoderComparison) -> "Figure":
     """Motor minus table against position, by direction, and against time; the model; each reversal's lost motion."""
     samples = comparison.samples
@@ -56,26 +62,31 @@ def encoders_figure(comparison: EncoderComparison) -> "Figure":
         factor * one[thinned]
         for factor, one in ((1e3, samples.position), (1e6, samples.difference), (1e6, samples.fitted))
     )
-    figure, axes = new_figure(3, 1, width=9.0, height=2.8, share_x=False)
+    has_errors = bool(comparison.reversals or comparison.places)
+    figure, axes = new_figure(3 if has_errors else 2, 1, height=2.4, share_x=False)
     for axis, x, label in ((axes[0], position, "position of the table, mm"), (axes[1], time, "time, s")):
-        for side, name, colour in ((1.0, "forwards", "C0"), (-1.0, "backwards", "C1")):
+        for side, name, colour, mark in ((1.0, "forwards", SKY, "o"), (-1.0, "backwards", VERMILION, "s")):
             there = direction == side
-            axis.plot(x[there], difference[there], ".", ms=2, color=colour, label=name)
-        axis.plot(x, fitted, ".", ms=1, color="k", label="model")
+            if there.any():
+                axis.plot(x[there], difference[there], mark, ms=1.5, mew=0, color=colour, label=name)
+        axis.plot(x, fitted, "o", ms=1, mew=0, color=BLACK, label="model")
         axis.set(xlabel=label, ylabel="motor - table, µm")
-    axes[0].legend(loc="upper right", markerscale=4)
-    axes[0].set_title(comparison.headline().replace(" um", " µm"), fontsize=9)
-    axis = axes[2]
     if comparison.reversals:
         places = np.array([one.position for one in comparison.reversals])
         errors = np.array([one.error for one in comparison.reversals])
-        axis.plot(1e3 * places, 1e6 * errors, "o", color="C2", label="of each reversal")
+        axes[2].plot(1e3 * places, 1e6 * errors, "D", ms=4, color=GREEN, label="of each reversal")
     if comparison.places:
         middle = np.array([0.5 * (low + high) for low, high, _ in comparison.places])
         values = np.array([error.value for _, _, error in comparison.places])
         halves = np.array([error.half_width for _, _, error in comparison.places])
-        axis.errorbar(1e3 * middle, 1e6 * values, 1e6 * halves, fmt="s", color="k", capsize=3, label="along the stroke")
-    axis.set(xlabel="position of the table, mm", ylabel="reversal error, µm")
-    if comparison.reversals or comparison.places:
-        axis.legend(loc="best")
+        bars = (1e3 * middle, 1e6 * values, 1e6 * halves)
+        axes[2].errorbar(*bars, fmt="s", color=BLACK, capsize=3, label="along the stroke, 95 % intervals")
+    if has_errors:
+        axes[2].set(xlabel="position of the table, mm", ylabel="reversal error, µm")
+        axes[2].ticklabel_format(axis="y", useOffset=False)
+        low, high = axes[2].get_ylim()
+        if high - low < LEAST_SPAN:
+            axes[2].set_ylim(0.5 * (low + high - LEAST_SPAN), 0.5 * (low + high + LEAST_SPAN))
+    legend_below(figure, markerscale=2)
+    say(figure, readable.titled(readable.readable(comparison.headline())))
     return figure

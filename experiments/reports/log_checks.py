@@ -52,10 +52,12 @@ def check_logs(
             found, fatal = checked.findings, checked.fatal
             report.keep("verdict", fatal=len(fatal), findings=len(found))
             result(findings_in_words(len(found), len(fatal)))
+            report.conclude(good=not fatal)
         names = ("log", "samples", "rate Hz", "s", "gaps", "from mm", "to mm", "fastest mm/s", "largest N", "channels")
         rows = [_row(log) for log in checked.logs]
         report.record("logs", names, rows)
-        report.show("What the logs hold", (*names[:3], "length, s", *names[4:8], "largest command N", names[9]), rows)
+        headings = (*names[:3], "length, s", *names[4:8], "largest command N", names[9])
+        report.show("What the logs hold", headings, rows, of="logs")
         if not fatal:
             for lack in _shortcomings(checked.logs, description):
                 report.say(f"{titled(lack.sentence)}.")

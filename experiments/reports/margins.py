@@ -1,6 +1,6 @@
 """`diffdrive margins`: margins of a loop, with a measured frequency response beside the model's."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -8,7 +8,21 @@ from diffdrive.axis import Axis
 from diffdrive.frequency.response import FrequencyResponse
 from diffdrive.linearisation import StabilityMargins, linearise
 from diffdrive.measured_loop import FrequencyComparison, compare_frequency_response, margins_as_dict
-from experiments.reports.report import Report, new_figure, plain_logarithmic
+from experiments.reports.charts.responses import measured_chart
+from experiments.reports.readable import shown
+from experiments.reports.report import Report
+from experiments.reports.theme import (
+    BLACK,
+    BLUE,
+    DASHES,
+    REFERENCE,
+    VERMILION,
+    drawing,
+    legend_below,
+    new_figure,
+    plain_logarithmic,
+    say,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,6 +37,7 @@ def report_margins(
     if measured is None:
         with report.working("linearising the loop"):
             margins = linearise(axis, velocity=velocity, load=load).margins()
+        report.conclude(_in_words("The model's loop", margins), good=bool(margins.stable))
         report.table("margins", COLUMNS, [_row("model", margins)], _title(velocity, load))
         return bool(margins.stable)
     with report.working("linearising the loop"):
@@ -36,6 +51,8 @@ def report_comparison(report: Report, comparison: FrequencyComparison, title: st
     departure, at = comparison.largest_departure
     if not comparison.status.ok:
         report.print(comparison.status.message, style="bold")
+    both = (("The loop with what was measured", comparison.margins), ("The model's loop", comparison.model_margins))
+    report.conclude(*(_in_words(*one) for one in both), good=all(bool(one.stable) for _, one in both))
     rows = [_row("measured", comparison.margins), _row("model", comparison.model_margins)]
     report.table("margins", COLUMNS, rows, title, notes=list(comparison.notes))
     peaks = [
@@ -55,35 +72,45 @@ def report_comparison(report: Report, comparison: FrequencyComparison, title: st
         comparison.departure, strict=True,
     )])  # fmt: skip
     report.figure("frequency_response", comparison_figure(comparison))
+    report.chart("frequency_response", measured_chart(comparison))
 
 
+@drawing
 def comparison_figure(comparison: FrequencyComparison) -> "Figure":
     """Gain and phase of the open loop, measured over model, the share of the distance to -1, and the coherence."""
     coherence = comparison.measured.coherence
-    figure, axes = new_figure(3 if coherence is None else 4, 1, width=8.0, height=2.4)
+    figure, axes = new_figure(3 if coherence is None else 4, 1, height=1.8)
     frequency = comparison.frequency
     gain, phase, share = axes[:3]
-    for label, loop, style in (
-        ("model", comparison.model_loop, {"color": "0.4", "lw": 1.6}),
-        ("measured", comparison.loop, {"color": "C0", "lw": 0.9}),
+    for label, loop, look in (
+        ("model", comparison.model_loop, {"color": BLACK, "ls": DASHES[1], "lw": 1.6, "zorder": 2.5}),
+        ("measured", comparison.loop, {"color": BLUE, "lw": 0.9}),
     ):
         decibels, degrees = _gain_and_phase(loop)
-        gain.semilogx(frequency, decibels, label=label, **style)
-        phase.semilogx(frequency, degrees, **style)
-    gain.axhline(0.0, color="0.35", lw=0.9)
-    phase.axhline(-180.0, color="0.35", lw=0.9)
-    gain.set(ylabel="|L|, dB")
-    gain.legend(fontsize=7)
+        gain.semilogx(frequency, decibels, label=label, **look)
+        phase.semilogx(frequency, degrees, **look)
+    gain.axhline(0.0, **REFERENCE)
+    phase.axhline(-180.0, **REFERENCE)
+    gain.set(ylabel="gain of L, dB")
     phase.set(ylabel="phase of L, deg")
-    share.loglog(frequency, comparison.departure, color="C3", lw=0.9)
-    share.axhline(1.0, color="0.35", lw=0.9)
-    share.set(ylabel="|L' - L| / |1 + L|")
+    share.loglog(frequency, comparison.departure, color=VERMILION, lw=0.9)
+    plain_logarithmic(share.yaxis)
+    share.axhline(1.0, **REFERENCE)
+    share.set(ylabel="departure (ratio)", title="departure: measured less model, over the model's distance to -1")
     if coherence is not None:
         within = comparison.measured.frequency <= frequency[-1]
-        axes[3].semilogx(comparison.measured.frequency[within], coherence[within], color="C2", lw=0.9)
-        axes[3].set(ylabel="coherence", ylim=(0.0, 1.05))
-    axes[-1].set(xlabel="frequency, Hz")
+        axes[3].semilogx(comparison.measured.frequency[within], coherence[within], color=BLACK, lw=0.9)
+        axes[3].set(ylabel="coherence (ratio)", ylim=(0.0, 1.05))
+    axes[-1].set(xlabel="frequency, Hz", xlim=(frequency[0], frequency[-1]))
     plain_logarithmic(axes[-1].xaxis)
+    figure.align_ylabels()
+    legend_below(figure, gain)
+    most, at = comparison.largest_departure
+    phases = ", ".join(
+        f"{margins_as_dict(found)['phase_margin_deg']:.3g} deg {name}"
+        for name, found in (("measured", comparison.margins), ("of the model", comparison.model_margins))
+    )
+    say(figure, f"Phase margin {phases}; the loops part most at {at:.4g} Hz, by {most:.2g} of the distance to -1")
     return figure
 
 
@@ -99,6 +126,20 @@ def _row(name: str, margins: StabilityMargins) -> list[object]:
         name, found["gain_margin_up_dB"], found["gain_margin_down_dB"], found["phase_margin_deg"],
         found["peak_sensitivity"], found["crossover_Hz"], "yes" if found["stable"] else "NO",
     ]  # fmt: skip
+
+
+def _in_words(name: str, margins: StabilityMargins) -> str:
+    if not bool(margins.stable):
+        return f"{name} is NOT STABLE."
+    found = margins_as_dict(margins)
+    up, down, phase = (
+        cast(float, found[key]) for key in ("gain_margin_up_dB", "gain_margin_down_dB", "phase_margin_deg")
+    )
+    texts = [
+        "no limit " + way if np.isinf(gain) else f"{shown(gain)} dB {way}" for gain, way in ((up, "up"), (down, "down"))
+    ]
+    texts.append("no limit of phase" if np.isinf(phase) else f"{shown(phase)} degrees of phase")
+    return f"{name} is stable; its margins: {', '.join(texts)}."
 
 
 def _title(velocity: float, load: float) -> str:

@@ -12,12 +12,14 @@ from diffdrive.measured_loop import FrequencyComparison
 from diffdrive.results import Result
 from experiments.reports.comparison import report_comparison_of_logs
 from experiments.reports.controller import report_controller
+from experiments.reports.diagnosis.answers import print_answers
 from experiments.reports.diagnosis.figures import save_diagnosis_figures
 from experiments.reports.diagnosis.files import write_augmented, write_reference
-from experiments.reports.diagnosis.page import print_answers, write_page
+from experiments.reports.diagnosis.page import give_page
 from experiments.reports.encoders import report_encoders
 from experiments.reports.identification.identification import report_identification
 from experiments.reports.margins import report_comparison
+from experiments.reports.page.log_rows import log_rows
 from experiments.reports.report import Report
 from experiments.reports.severity import report_severity
 from experiments.reports.simulation import write_simulation
@@ -38,9 +40,9 @@ from tuning.unknown_trace.workflow import StartResult
 def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:
     """Write everything that a result says into a folder, and return it.
 
-    The result as JSON, its tables as CSV, its figures as PNG, and what other tools take: `run.csv` of a simulation,
-    `identified.toml`, `tuned.toml`, and of a diagnosis `augmented.toml` and the page `report.html`. A result of your
-    own joins them: `@section.register` a function of the result and a `Report`.
+    The result as JSON, its tables as CSV, its figures as PNG, all of them on the page `report.html`, and what other
+    tools take: `run.csv` of a simulation, `identified.toml`, `tuned.toml`, `augmented.toml` of a diagnosis. A result of
+    your own joins them: `@section.register` a function of the result and a `Report`.
 
     Args:
         result: Of `simulate`, or a function of `tuning`.
@@ -58,8 +60,10 @@ def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:
     with Report(
         f"{result.schema.split('/')[0]}: {result.headline()}", out, Console(quiet=True) if quiet else None
     ) as writer:
+        writer.page.is_command = False
         result.save(out)
         section(result, writer)
+        writer.conclude(*(() if writer.page.conclusions else (result.headline(),)), good=result.status.ok)
     return out
 
 
@@ -94,6 +98,7 @@ def _(result: FrequencyComparison, writer: Report) -> None:
 
 @section.register
 def _(result: IdentificationResult, writer: Report) -> None:
+    writer.page.logs += log_rows([*result.logs.logs, *result.held_out.logs])
     report_identification(writer, result)
 
 
@@ -109,7 +114,8 @@ def _(result: DiagnosisResult, writer: Report) -> None:
     write_reference(writer, result.next_motion.reference)
     augmented = write_augmented(writer, result)
     save_diagnosis_figures(writer, result.diagnosis, result.logs.logs)
-    write_page(writer, details, augmented)
+    writer.page.logs += log_rows(result.logs.logs)
+    give_page(writer, details, augmented)
 
 
 @section.register

@@ -74,7 +74,7 @@ def shown(value: object, digits: int = DIGITS) -> str:
     if isinstance(value, float | np.floating):
         return significant(float(value), digits)
     if isinstance(value, list | tuple):
-        return ", ".join(shown(one, digits) for one in value)
+        return ", ".join(shown(one, digits) for one in value) or "-"
     return readable(printable(str(value)))
 
 

@@ -1,11 +1,11 @@
-"""What a command prints, and the folder it writes: figures, tables, and one result.json with every number printed."""
+"""What a command prints, and the folder it writes: figures, tables, a page, and result.json with every number."""
 
 import contextlib
 import csv
+import datetime
 import errno
 import importlib.metadata
 import json
-import math
 import os
 import platform
 import re
@@ -20,17 +20,19 @@ from rich.console import Console
 from rich.text import Text
 
 from diffdrive.results import as_json
-from diffdrive.support.atomic_write import atomic_write
+from diffdrive.support.atomic_write import NO_SPACE, atomic_write, write_text
 from diffdrive.support.messages import printable
-from experiments.reports import progress, readable
+from experiments.reports import progress, readable, theme
 from experiments.reports.formats import figure_formats
 from experiments.reports.output_folder import OutputFolder
+from experiments.reports.page.chart import Chart
+from experiments.reports.page.contents import Contents, Picture, ShownTable, described
 
 if TYPE_CHECKING:
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 RESULT = "result.json"
+PAGE = "report.html"
 NO_ROOM = f"OSError: [Errno {errno.ENOSPC}] {os.strerror(errno.ENOSPC)}"
 
 
@@ -83,9 +85,11 @@ class Report:
                 "diffdrive": version_of("diffdrive"),
                 "jax": version_of("jax"),
                 "python": platform.python_version(),
+                "date": datetime.datetime.now().astimezone().isoformat(sep=" ", timespec="minutes"),
             },
         }
-        self._started = time.perf_counter()
+        self.page = Contents()
+        self._started, self._began = time.perf_counter(), time.time()
         self._no_result = {*self.data, "timings_s", "notes"}
         self._folder = None if out is None else OutputFolder(out, RESULT)
         self._print(self._prose(title), style="bold")
@@ -162,11 +166,15 @@ class Report:
         rows: Sequence[Sequence[object]],
         digits: int = readable.DIGITS,
         notes: Sequence[str] = (),
+        *,
+        of: str = "",
     ) -> None:
         """Print a table, as wide as the terminal, with so many significant digits; below it what its rows need said.
 
-        A column's unit is in its name: `RMS um`, `share, %`.
+        A column's unit is in its name: `RMS um`, `share, %`. `of` is the table that is recorded with the same content:
+        the page has it once.
         """
+        self.page.tables.append(ShownTable(caption, columns, rows, digits, notes, of))
         self._print(["", *self._prose(caption)], style="bold")
         for k, block in enumerate(readable.table(columns, rows, self.console.width, digits)):
             self._print([""] if k else [])
@@ -187,8 +195,14 @@ class Report:
         notes: Sequence[str] = (),
     ) -> None:
         """`record` a table and `show` it."""
-        self.show(caption or readable.titled(name.replace("_", " ")), columns, rows, digits, notes)
+        self.show(caption or readable.titled(name.replace("_", " ")), columns, rows, digits, notes, of=name)
         self.record(name, columns, rows)
+
+    def conclude(self, *sentences: str, verdict: str = "", good: bool | None = None) -> None:
+        """What the page begins with: the result in sentences, in a word, and whether it is good; prints nothing."""
+        self.page.conclusions += sentences
+        self.page.verdict = verdict or self.page.verdict
+        self.page.good = self.page.good if good is None else good
 
     @contextlib.contextmanager
     def result_first(self) -> Iterator[Callable[[str], None]]:
@@ -200,6 +214,7 @@ class Report:
             yield sentences.append
         finally:
             self._later = None
+            self.conclude(*sentences)
             for sentence in sentences:
                 self.data.setdefault("notes", []).append(sentence)
                 self._print(["", *self._prose(sentence)], style="bold")
@@ -222,14 +237,21 @@ class Report:
             text = readable.in_ascii(line) if self.console.options.ascii_only else line
             self.console.print(Text(text, style=style))
 
-    def figure(self, name: str, figure: "Figure") -> None:
-        """Save a figure as PNG, and in the other formats of `figure_formats`."""
+    def figure(self, name: str, figure: "Figure", caption: str = "") -> None:
+        """Save a figure as PNG, and in the other formats of `figure_formats`; the page shows it with its caption."""
         if self.out is not None:
             for ending in figure_formats.get():
                 with atomic_write(self.out / f"{name}.{ending}") as file:
-                    figure.savefig(file, format=ending, dpi=130)
+                    theme.save(figure, file, ending)
                 self.data.setdefault("figures", []).append(f"{name}.{ending}")
+            caption = caption or readable.titled(name.replace("_", " "))
+            # once it is there: the page of a command that ends on a full disk shows what was written
+            self.page.pictures.append(Picture(name, f"{name}.png", caption, described(caption, figure)))
             self._hold()
+
+    def chart(self, name: str, chart: Chart) -> None:
+        """A chart to zoom into, for the page; on paper the figure of the same name stands in its place."""
+        self.page.charts[name] = chart
 
     @contextlib.contextmanager
     def working(self, what: str) -> Iterator[None]:
@@ -254,46 +276,36 @@ class Report:
         """A bar with rate and time left; yields a function of how many are done."""
         return progress.counted(self.console, what, total)
 
+    def write_page(self) -> None:
+        """Write report.html of what is there by now; raises `OSError` where there is no room."""
+        if self.out is not None:
+            from experiments.reports.page.page import Page, render  # Jinja2 takes a tenth of a second to import
+
+            write_text(self.out / PAGE, render(Page(self.data, self.page, self.out, PAGE, self._began)))
+
     def close(self) -> None:
-        """Write result.json; on a full disk what there is room for, and raise `OSError`."""
+        """Write report.html and result.json; on a full disk what there is room for, and raise `OSError`."""
         self.data["seconds"] = round(time.perf_counter() - self._started, 2)
         if self._folder is None:
             return
-        least = self.data.keys() - {"title", "made_by", "seconds", "stopped_by"}
-        shorter = (self._stopped(NO_ROOM, ("tables",)), self._stopped(NO_ROOM, tuple(least)))
-        if self._folder.write_result(_json(self.data), *shorter) and "stopped_by" not in self.data:
+        was_stopped, is_full = "stopped_by" in self.data, False
+        try:
+            self.write_page()
+        except OSError as problem:
+            is_full = problem.errno in NO_SPACE
+            if not is_full:
+                raise
+            self.data.setdefault("stopped_by", NO_ROOM)
+        finally:  # whatever fails, the numbers are kept
+            least = self.data.keys() - {"title", "made_by", "seconds", "stopped_by"}
+            shorter = (self._stopped(NO_ROOM, ("tables",)), self._stopped(NO_ROOM, tuple(least)))
+            is_full = bool(self._folder.write_result(_json(self.data), *shorter)) or is_full
+        if is_full and not was_stopped:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        stopped = "stopped; what was found by then is in" if "stopped_by" in self.data else "written to"
+        stopped = "stopped; what was found by then is in" if was_stopped else "written to"
         self.console.print(printable(f"{stopped} {self.out}"))
 
 
 def named_file(text: str) -> str:
     """The text as part of a file's name."""
     return re.sub(r"[^\w.+-]+", "_", text).strip("_.")
-
-
-def new_figure(
-    rows: int = 1, columns: int = 1, *, width: float = 8.0, height: float = 3.0, share_x: bool = True
-) -> tuple["Figure", Any]:
-    """A figure and its axes ([rows, columns] squeezed), drawn without a display and without global state."""
-    import matplotlib as mpl  # a third of a second to import, and no figure is drawn without a folder to write it to
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context({"axes.grid": True, "grid.alpha": 0.3}):
-        figure = Figure(figsize=(width, height * rows), layout="constrained")
-        axes = figure.subplots(rows, columns, sharex="col" if share_x else False)
-    return figure, axes
-
-
-def plain_logarithmic(axis: "Axis") -> None:
-    """Label one axis of a logarithmic plot 0.1, 1, 20 in place of powers of ten, fewer of them the more it spans."""
-    from matplotlib.ticker import FuncFormatter
-
-    def between(value: float, _: object) -> str:
-        low, high = axis.get_view_interval()
-        decades, digit = math.log10(high / low), round(value / 10.0 ** math.floor(math.log10(value) + 1e-9))
-        shown = range(2, 10) if decades < 1.0 else (2, 5) if decades < 2.0 else ()
-        return f"{value:g}" if digit in shown else ""
-
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(FuncFormatter(between))

@@ -5,25 +5,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.reports import readable
-from experiments.reports.report import Report, new_figure
-from tuning.accuracy.result import SOUND, TERMS, SeverityResult, Without
+from experiments.reports.charts.circle import circle_chart
+from experiments.reports.report import Report
+from experiments.reports.theme import BLUE, DASHES, REFERENCE, drawing, legend_below, new_figure, say
+from tuning.accuracy.result import AS_IT_IS, SOUND, TERMS, SeverityResult, Without
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-AS_IT_IS, MENDED = "as it is", "sound"
+GIVEN, MENDED = "as it is", "sound"
 
 
 def report_severity(report: Report, found: SeverityResult) -> None:
     """What to mend first, the table of all machines, the figure, and `severity.json`."""
     unit, factor = found.unit
     report.keep("severity", first=None if found.first is None else found.first.effect, beyond=list(found.beyond))
-    for line in found.summary().splitlines():
-        report.say(readable.titled(line.removeprefix("- ")))
+    lines = [readable.titled(line.removeprefix("- ")) for line in found.summary().splitlines()]
+    report.conclude(*lines, good=not found.beyond)
+    for line in lines:
+        report.say(line)
     kept = [name for name in TERMS if getattr(found.as_it_is, name) is not None]
     rows = [
         [machine, *(factor * getattr(accuracy, name) for name in kept)]
-        for machine, accuracy in ((AS_IT_IS, found.as_it_is), *((_named(one), one.accuracy) for one in found.without))
+        for machine, accuracy in ((GIVEN, found.as_it_is), *((_named(one), one.accuracy) for one in found.without))
     ]
     symbols = [f"{TERMS[name].rpartition(' ')[2]} {unit.replace('µ', 'u')}" for name in kept]
     notes = [", ".join(f"{TERMS[name].rpartition(' ')[2]}: {TERMS[name].rpartition(' ')[0]}" for name in kept) + "."]
@@ -31,30 +35,41 @@ def report_severity(report: Report, found: SeverityResult) -> None:
     if report.out is not None:
         found.save(report.out)
         report.figure("severity", severity_figure(found))
+        if found.circles:
+            in_order = {_named(one): found.circles[one.effect] for one in [*found.by_gain, found.without[-1]]}
+            report.chart("circle", circle_chart({GIVEN: found.circles[AS_IT_IS]} | in_order))
 
 
 def _named(one: Without) -> str:
     return MENDED if one.effect == SOUND else f"without {one.effect}"
 
 
+@drawing
 def severity_figure(found: SeverityResult) -> "Figure":
-    """Bars of accuracy A and circular deviation G: as it is, without each effect, without any; the tolerance."""
+    """Bars of accuracy A and, in a panel of its own, of circular deviation G: of each machine; the tolerance."""
     unit, factor = found.unit
-    machines = [(AS_IT_IS, found.as_it_is)]
+    machines = [(GIVEN, found.as_it_is)]
     machines += [(_named(one), one.accuracy) for one in [*found.by_gain, found.without[-1]]]
     judged = list(found.as_it_is.judged())
-    figure, axis = new_figure(1, 1, width=8.0, height=1.2 + 0.45 * len(machines))
-    (axis,) = np.ravel(axis)
-    places, height = np.arange(len(machines)), 0.8 / len(judged)
-    for k, name in enumerate(judged):
+    figure, axes = new_figure(1, len(judged), height=1.5 + 0.3 * len(machines), share_x=False, share_y=True)
+    for axis, name in zip(np.atleast_1d(axes), judged, strict=True):
         values = [factor * one.judged()[name] for _, one in machines]
-        bars = axis.barh(places + (k - 0.5 * (len(judged) - 1)) * height, values, height, label=TERMS[name])
-        axis.bar_label(bars, [f"{value:.3g}" for value in values], padding=3, fontsize=8)
+        bars = axis.barh(range(len(machines)), values, 0.6, color=BLUE)
+        axis.bar_label(bars, [readable.shown(value, 3) for value in values], padding=3)
+        if found.tolerance is not None:
+            label = f"tolerance {factor * found.tolerance:.3g} {unit}"
+            axis.axvline(factor * found.tolerance, ls=DASHES[1], label=label, **REFERENCE)
+        axis.margins(x=0.2)
+        axis.set_xlabel(f"{TERMS[name]}, {unit}")
+    first = np.atleast_1d(axes)[0]
+    first.set_yticks(range(len(machines)), [name for name, _ in machines])
+    first.invert_yaxis()
     if found.tolerance is not None:
-        axis.axvline(factor * found.tolerance, color="k", lw=1.0, ls="--", label="tolerance")
-    axis.set_yticks(places, [name for name, _ in machines])
-    axis.invert_yaxis()
-    axis.margins(x=0.12)
-    axis.set(xlabel=unit)
-    axis.legend(loc="lower right", fontsize=8)
+        legend_below(figure)
+    parts = []
+    for name in judged:
+        parts.append(f"{TERMS[name]} {readable.shown(factor * found.as_it_is.judged()[name], 3)} {unit}")
+        for best in found.by_gain[:1]:
+            parts[-1] += f", {readable.shown(factor * best.accuracy.judged()[name], 3)} {unit} {_named(best)}"
+    say(figure, readable.titled("; ".join(parts)))
     return figure

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,8 +20,23 @@ from diffdrive.observers.friction_observer import KalmanObserver
 from diffdrive.observers.load_estimator import InnovationLoad
 from diffdrive.simulation import simulate
 from diffdrive.support.rates import require_same_rate
-from experiments.reports.readable import shown
-from experiments.reports.report import Report, new_figure
+from experiments.reports import readable
+from experiments.reports.charts.signals import run_chart
+from experiments.reports.readable import shown, titled
+from experiments.reports.report import Report
+from experiments.reports.theme import (
+    BLACK,
+    BLUE,
+    DASHES,
+    PALE,
+    REFERENCE,
+    SKY,
+    VERMILION,
+    drawing,
+    legend_below,
+    new_figure,
+    say,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,11 +65,12 @@ def write_run(path: Path, run: Run) -> None:
     write_csv(path, channels, {name: CHANNELS[name].unit for name in FORCES if name in channels})
 
 
-def write_simulation(report: Report, run: Run) -> None:
+def write_simulation(report: Report, run: Run, settle: float = 0.0) -> None:
     """The files of a run: what the command writes, the report of a result, and a machine of a sweep run again."""
     if report.out is not None:
         write_run(report.out / "run.csv", run)
-        report.figure("run", run_figure(run))
+        report.figure("run", run_figure(run, settle))
+        report.chart("run", run_chart(run))
 
 
 def simulate_drive(
@@ -80,10 +96,13 @@ def simulate_drive(
                 from_s=settle,
             )
             report.print(_in_words(report.data["result"]))
+            report.conclude(titled(_in_words(report.data["result"]).removeprefix("Result: ")) + ".", good=True)
             if run.load_estimate is not None:
                 _load(report, float(run.load[-1]), float(run.load_estimate[-1]))
+        else:
+            report.conclude(f"Not to be believed: {run.status.message}.", good=False)
         report.values("run", status=run.status.message)
-        write_simulation(report, run)
+        write_simulation(report, run, settle)
         if report.out is not None:
             run.save(report.out)
     return run.status.ok
@@ -107,26 +126,57 @@ def _load(report: Report, load: float, estimate: float) -> None:
         )
 
 
-def run_figure(run: Run) -> "Figure":
-    """Position, tracking error, forces and load over time."""
-    figure, axes = new_figure(4, 1, width=9.0, height=1.9)
-    axes[0].plot(run.time, 1e3 * run.reference, label="reference")
-    axes[0].plot(run.time, 1e3 * run.position, "--", label="position")
-    axes[0].set(ylabel="mm", title="position")
-    axes[1].plot(run.time, 1e6 * run.error, lw=0.8)
-    axes[1].set(ylabel="µm", title="tracking error")
-    axes[2].plot(run.time, run.command, lw=0.6, label="command")
-    axes[2].plot(run.time, run.friction, lw=0.8, label="friction")
-    if run.friction_estimate is not None:
-        axes[2].plot(run.time, run.friction_estimate, "--", lw=0.8, label="friction, estimated")
-    axes[2].set(ylabel="N", title="force")
-    axes[3].plot(run.time, 1e-3 * run.load, label="load")
-    if run.load_estimate is not None:
-        axes[3].plot(run.time, 1e-3 * run.load_estimate, lw=0.8, label="estimated")
-    axes[3].set(ylabel="kN", title="load", xlabel="time, s")
-    for axis in (axes[0], axes[2], axes[3]):
-        axis.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside the signals, which it would hide
+MAGNIFIED = 10  # times, the detail of a run: a reversal of some tenths of a second is a line in a run of many seconds
+
+
+@drawing
+def run_figure(run: Run, settle: float = 0.0) -> "Figure":
+    """Position, tracking error, forces and load: over the whole run, and magnified where the error is largest."""
+    figure, axes = new_figure(4, 2, height=1.55, share_y="row", width_ratios=(5, 3))
+    counted = np.flatnonzero(np.isfinite(run.error) & (run.time >= settle))
+    start, end = float(run.time[0]), float(run.time[-1])
+    peak = counted[np.argmax(np.abs(run.error[counted]))] if counted.size else 0
+    half = 0.5 * (end - start) / MAGNIFIED
+    middle = float(np.clip(run.time[peak], start + half, end - half))
+    true: dict[str, Any] = {"color": BLACK}
+    estimated: dict[str, Any] = {"color": VERMILION, "ls": DASHES[1]}
+    forces: list[tuple[str, np.ndarray, dict[str, Any]]] = [
+        ("command", run.command, {"color": SKY, "lw": 0.8}),
+        ("friction, load", run.friction, true),
+    ]
+    loads: list[tuple[str, np.ndarray, dict[str, Any]]] = [("friction, load", run.load, true)]
+    forces += [] if run.friction_estimate is None else [("estimated", run.friction_estimate, estimated)]
+    loads += [] if run.load_estimate is None else [("estimated", run.load_estimate, estimated)]
+    for column, between in enumerate(((start, end), (middle - half, middle + half))):
+        shown = (run.time >= between[0]) & (run.time <= between[1])
+        position, error, force, load = axes[:, column]
+        position.plot(run.time[shown], 1e3 * run.reference[shown], color=BLUE)
+        error.axhline(0.0, **REFERENCE)
+        error.plot(run.time[shown], 1e6 * run.error[shown], color=BLUE, lw=1.0)
+        for axis, scale, curves in ((force, 1.0, forces), (load, 1e-3, loads)):
+            for name, values, look in curves:
+                axis.plot(run.time[shown], scale * values[shown], label=name, **look)
+        load.set(xlabel="time, s", xlim=between)
+    if settle > start:  # does not count
+        for axis in axes[:, 0]:
+            axis.axvspan(start, settle, color=PALE, lw=0.0)
+    for axis, label in zip(axes[:, 0], ("reference, mm", "tracking error, µm", "force, N", "load, kN"), strict=True):
+        axis.set_ylabel(label)
+    axes[0, 0].set_title("the whole run")
+    axes[0, 1].set_title(f"the {2.0 * half:.3g} s around the largest error")
+    legend_below(figure)
+    figure.align_ylabels(axes[:, 0])
+    say(figure, _finding(run, settle))
     return figure
+
+
+def _finding(run: Run, settle: float) -> str:
+    """What a run shows, in a sentence."""
+    if not run.status.ok:
+        return readable.titled(run.status.message)
+    since = f", from {settle:g} s on" if settle > run.time[0] else ""
+    peak, rms = (f"{1e6 * value:.3g}" for value in (run.peak_error(settle), run.rms_error(settle)))
+    return f"Tracking error {rms} µm RMS, {peak} µm peak{since}"
 
 
 def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:
@@ -168,16 +218,16 @@ def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:
         ]
         ok = bool(np.all(fine | gated))
         report.keep("verdict", converges_everywhere=ok)
-        if ok:
-            report.print("It converges at every one of these speeds at which it is updated.", style="bold")
-        else:
-            fails = ", ".join(f"{1e3 * v:g}" for v in speed[~(fine | gated)])
-            report.print(f"It DIVERGES at {fails} mm/s.", style="bold")
+        fails = ", ".join(f"{1e3 * v:g}" for v in speed[~(fine | gated)])
+        says = f"DIVERGES at {fails} mm/s" if fails else "converges at every one of these speeds at which it is updated"
+        report.conclude(f"The load estimator of eq. (20) {says}.", good=ok)
+        report.print(report.page.conclusions[0], style="bold")
+        if not ok:
             report.say(
                 'Use kind = "pd+fc+ls", whose estimator converges at every speed, or change Q and R until G > 0.'
             )
         report.table(
-            "convergence", ("mm/s", "G +", "G -", "time constant + s", "time constant - s", "verdict"), rows,
+            "convergence", ("mm/s", "G +", "G -", "time constant + s", "time constant - s", "estimate"), rows,
             "Gain G and time constant of eq. (20) over speed, forwards (+) and backwards (-)",
         )  # fmt: skip
     return ok

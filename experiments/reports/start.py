@@ -9,6 +9,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.logs.guess.result import Question
 from experiments.reports.checked_logs import assignments, list_findings
 from experiments.reports.log_checks import findings_in_words
+from experiments.reports.page.log_rows import log_rows
 from experiments.reports.report import Report
 from tuning.unknown_trace.workflow import StartResult, require_new, start
 
@@ -38,6 +39,8 @@ def start_from_trace(
         written = result.write(drive)
         assert result.findings is not None
         found, fatal = result.findings.findings, result.findings.fatal
+        if report.out is not None:
+            report.page.logs += log_rows(result.findings.logs, [log])
         with report.result_first() as say:
             say(f"{written} is a drive file for {log.name}: what is sure, likely, stated and usual stands in it.")
             report_guesses(report, result)
@@ -45,6 +48,7 @@ def start_from_trace(
                 report.say(f"- {note}")
             report.print("\nThe check of the log with this drive file", style="bold")
             report.keep("verdict", fatal=len(fatal), findings=len(found))
+            report.conclude(good=not fatal)
             report.say(findings_in_words(len(found), len(fatal)))
             list_findings(report, "findings", result.findings.logs, found)
             report.say(_next(log, written, bool(fatal)))

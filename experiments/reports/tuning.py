@@ -11,9 +11,13 @@ from diffdrive.controllers import Controller
 from diffdrive.loop.linearise import OperatingPoint
 from experiments.reports import readable
 from experiments.reports.axis_file import write_axis_file
+from experiments.reports.charts.responses import bode_chart
+from experiments.reports.charts.signals import before_and_after
 from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.loop_figures import bode, nyquist, responses
-from experiments.reports.report import Report, new_figure
+from experiments.reports.report import Report
+from experiments.reports.simulation import MAGNIFIED
+from experiments.reports.theme import BLACK, BLUE, DASHES, drawing, legend_below, new_figure, say, style
 from tuning.gains.checkpoint import CHECKPOINT
 from tuning.gains.handover import handover, worst_margins, write_handover
 from tuning.gains.measured import MeasuredMargins
@@ -73,10 +77,15 @@ def report_tuning(report: Report, result: TuningResult) -> None:
         gains_table(report, result.search)
         margins_table(report, result.loop_margins)
         measured_table(report, result.measured_margins)
+        report.figure("tuning", tuning_figure(result.search, list(result.runs), result.plan))  # what it gains, first
         loop_figures(report, given, tuned, result.plan, result.setup.limits)
         verification_table(report, result.runs)
         first(verdict(result.search, result.runs))
-    report.figure("tuning", tuning_figure(result.search, list(result.runs), result.plan))
+        report.conclude(good=result.accepted)
+    held_out = [run for run in result.runs if run.role == "held out"]
+    if held_out:
+        worst = max(held_out, key=lambda run: run.before.rms)
+        report.chart("held_out", before_and_after(worst.scenario.name, worst.before.run, worst.after.run))
     report.keep("verdict", accepted=result.accepted)
     if not result.accepted or report.out is None:
         return
@@ -124,6 +133,7 @@ def gains_table(report: Report, tuned: GainSearch) -> None:
         "Gains; changed by the last factor, alone, one costs 5 % of the objective",
         ("gain", "unit", "given", "tuned", "ratio", "factor"),
         [[name, unit.replace("*", " "), *row] for unit, (name, *row) in zip(tuned.units, rows, strict=True)],
+        of="gains",
     )
     report.print(
         f"Search: {tuned.status}; {standing.steps} steps, {standing.seconds:.0f} s; objective "
@@ -170,6 +180,7 @@ def loop_figures(report: Report, description: Axis, tuned: Controller, plan: Tun
         }
     report.figure("nyquist", nyquist(panels, limits))
     report.figure("bode", bode(panels, limits))
+    report.chart("bode", bode_chart(panels))
 
 
 WORST = ("gain_up_dB", "gain_down_dB", "phase_deg", "peak_sensitivity", "growth_per_s")
@@ -197,7 +208,7 @@ def verification_table(report: Report, runs: Sequence[ScenarioComparison]) -> No
             if mean[k] is not None:
                 report.keep(f"mean_{what}_{role.replace(' ', '_')}", before=mean[k], after=mean[k + 1])
     caption = "Gains as given and as tuned on the exact (quantised, limited) simulator"
-    report.show(caption, columns, [*rows, *means], notes=_load_errors(rows))
+    report.show(caption, columns, [*rows, *means], notes=_load_errors(rows), of="verification")
 
 
 def _load_errors(rows: Sequence[Sequence[Any]]) -> list[str]:
@@ -226,19 +237,27 @@ def report_pareto(report: Report, front: ParetoFront) -> None:
     rows = [[*point[:4], 1e6 * point.rms] for point in front.points]
     columns = ("noise limit N", "objective", "feasible", "held-out noise N", "held-out RMS um")
     report.table("pareto", columns, rows, "Tuned again under each limit of the command noise")
-    figure, axis = new_figure()
+    if any(point.feasible for point in front.points):
+        report.figure("pareto", pareto_figure(front))
+
+
+@drawing
+def pareto_figure(front: ParetoFront) -> "Figure":
+    """Tracking error over command noise: what was tuned on, and what was held out."""
+    figure, axis = new_figure(height=3.2)
     kept = [point for point in front.points if point.feasible]
     axis.plot(
-        [point.noise_limit for point in kept], [point.objective for point in kept], "o-",
-        label="tuned on: objective at its limit",
+        [point.noise_limit for point in kept], [point.objective for point in kept], "o", label="objective at its limit",
+        **style(0),
     )  # fmt: skip
-    axis.plot(
-        [point.command_noise for point in kept], [1e6 * point.rms for point in kept], "s--",
-        label="held out: mean RMS, µm",
-    )  # fmt: skip
-    axis.set(xlabel="command noise, N", ylabel="tracking error, µm", title="what quietness costs", ylim=(0, None))
-    axis.legend()
-    report.figure("pareto", figure)
+    held_out = [(point.command_noise, 1e6 * point.rms) for point in kept]
+    axis.plot(*zip(*held_out, strict=True), "s", label="held out: mean RMS", **style(1))
+    axis.set(xlabel="command noise, N", ylabel="tracking error, µm", ylim=(0, None))
+    legend_below(figure)
+    (quiet, largest), (loud, least) = min(held_out), max(held_out)
+    ends = f"{largest:.3g} µm at {quiet:.3g} N" + (f" to {least:.3g} µm at {loud:.3g} N" if len(held_out) > 1 else "")
+    say(figure, f"What quietness costs: held-out tracking error {ends} of command noise")
+    return figure
 
 
 def _conditions(result: TuningResult) -> dict[str, object]:
@@ -261,21 +280,30 @@ def _conditions(result: TuningResult) -> dict[str, object]:
     }
 
 
+@drawing
 def tuning_figure(tuned: GainSearch, runs: list[ScenarioComparison], plan: TuningPlan) -> "Figure":
-    """The search, and one held-out scenario before and after."""
-    figure, (left, right) = new_figure(1, 2, width=11.0, height=3.4, share_x=False)
+    """The search, and the worst held-out scenario before and after; the latter magnified at its largest error."""
+    figure, (left, right, turn) = new_figure(1, 3, height=3.0, share_x=False)
     history = tuned.best.state.history
-    left.plot([entry[1] for entry in history], [entry[3] for entry in history], "o-", ms=3)
+    left.plot([entry[1] for entry in history], [entry[3] for entry in history], "o-", ms=3, color=BLACK)
     left.xaxis.get_major_locator().set_params(integer=True)
-    left.set(xlabel="linearisations", ylabel="objective (µm of RMS error)", title="search", ylim=(0, None))
+    left.set(xlabel="linearisations (count)", ylabel="objective, µm", title="search", ylim=(0, None))
     shown = max((run for run in runs if run.role == "held out"), key=lambda run: run.before.rms)
-    scenario, old, new = shown.scenario, shown.before, shown.after
-    right.plot(old.run.time, 1e6 * old.run.error, lw=0.8, label="given")
-    right.plot(new.run.time, 1e6 * new.run.error, lw=0.8, label="tuned")
-    title = f"held out: {scenario.name}"
-    right.set(xlabel="time, s", ylabel="tracking error, µm", title=title, xlim=(plan.settle, None))
-    after = new.run.time > plan.settle
-    most = 1.2e6 * max(np.abs(old.run.error[after]).max(), np.abs(new.run.error[after]).max())
-    right.set_ylim(-most, most)
-    right.legend()
+    old, new = shown.before, shown.after
+    counted = old.run.time > plan.settle
+    errors = np.where(counted, np.abs(old.run.error), 0.0)
+    peak, half = old.run.time[np.argmax(errors)], 0.5 * (old.run.time[-1] - plan.settle) / MAGNIFIED
+    for axis in (right, turn):
+        for name, result, look in (("given", old, {"color": BLACK}), ("tuned", new, {"color": BLUE, "ls": DASHES[1]})):
+            axis.plot(result.run.time, 1e6 * result.run.error, label=name, **look)
+        axis.set(xlabel="time, s", ylabel="tracking error, µm")
+    right.set(title="the worst held-out scenario", xlim=(plan.settle, old.run.time[-1]))
+    turn.set(title="at the largest error", xlim=(peak - half, peak + half))
+    most = 1.1e6 * max(np.abs(result.run.error[counted]).max() for result in (old, new))
+    for axis in (right, turn):
+        axis.set_ylim(-most, most)
+    legend_below(figure, right)
+    before, after = (float(np.mean([one.rms for one in part])) for part in _held_out(runs))
+    say(figure, f"Held-out tracking error {1e6 * before:.3g} µm RMS given, {1e6 * after:.3g} µm tuned; "
+                f"worst, {shown.scenario.name}: {1e6 * old.rms:.3g} given, {1e6 * new.rms:.3g} tuned")  # fmt: skip
     return figure

@@ -12,9 +12,10 @@ from diffdrive.controllers import UnknownController
 from diffdrive.effects.catalogue import require_effects
 from diffdrive.errors import ParameterError
 from experiments.reports.checked_logs import axis_with_overrides, parse_loads, read_and_check
+from experiments.reports.diagnosis.answers import Details, print_answers
 from experiments.reports.diagnosis.figures import save_diagnosis_figures
 from experiments.reports.diagnosis.files import AUGMENTED, NEXT, write_augmented, write_reference
-from experiments.reports.diagnosis.page import Details, print_answers, write_page
+from experiments.reports.diagnosis.page import give_page
 from experiments.reports.diagnosis.payoff import GainFigures, payoff, summarise_payoff
 from experiments.reports.report import Report
 from tuning.checked_logs import CheckedLogs
@@ -134,7 +135,8 @@ def _save(report: Report, result: DiagnosisResult, augmented: str | None) -> Non
     """diagnosis.json and report.html."""
     assert report.out is not None
     result.save(report.out)
-    write_page(report, dict(result.details), augmented)
+    give_page(report, dict(result.details), augmented)
+    report.write_page()
 
 
 def _pay(

@@ -1,6 +1,7 @@
 """The figures of `diffdrive diagnose`: the ladder, the missing force, where it lies, and the causes."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,14 +9,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from diffdrive.logs import Log
-from experiments.reports.report import Report, new_figure
+from experiments.reports.charts.missing_force import of_diagnosis
+from experiments.reports.report import Report
+from experiments.reports.theme import BLUE, DASHES, REFERENCE, drawing, legend_below, new_figure, say
 from tuning.diagnosis.diagnose import Diagnosis
 from tuning.diagnosis.gap.where import SIGNIFICANT
 from tuning.diagnosis.judgement.ladder import ModelComparison
 
 MOST_POINTS = 6000  # of a signal in a figure
 REGIONS, CAUSES = 12, 8
-BEFORE, AFTER = "0.6", "C0"
+BEFORE, AFTER = "0.6", BLUE
+LESS: dict[str, Any] = {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"}  # bars, told apart in grey
 BLANK = "blank where the table rests, and where nothing is held out"
 ROOM = 1.8  # times the largest value, above it, and below the least
 
@@ -24,32 +28,41 @@ def save_diagnosis_figures(report: Report, found: Diagnosis, logs: Sequence[Log]
     """Save every figure."""
     report.figure("ladder", _ladder(found))
     report.figure("missing_force", _missing(found, logs))
+    if (chart := of_diagnosis(found, logs)) is not None:
+        report.chart("missing_force", chart)
     report.figure("where", _where(found))
     if found.verdict.beliefs:
         report.figure("causes", _causes(found))
 
 
+@drawing
 def _ladder(found: Diagnosis) -> Figure:
     """The gap of each model on held-out data, against the floor: the missing force and, simulated, the closed loop."""
     rms = np.array([comparison.force.rms if comparison.force.told else np.nan for comparison in found.comparisons])
     spread = np.abs(np.array([comparison.interval for comparison in found.comparisons]).T - rms)
     loops = [comparison.loop for comparison in found.comparisons if comparison.loop is not None]
     simulated = [one for one in loops if not one.says]
-    figure, axes = new_figure(1, 3 if simulated else 1, width=11.0 if simulated else 6.0, height=3.4, share_x=False)
+    figure, axes = new_figure(1, 3 if simulated else 1, height=3.2, share_x=False)
     axes = np.atleast_1d(axes)
-    axes[0].set_title("missing force, N RMS", fontsize="medium")
+    axes[0].set_ylabel("missing force RMS, N")
     _points(axes[0], rms, np.nan if found.floor is None else found.floor, "not computed", spread)
     for axis, scale, signal, unit in zip(axes[1:], (1e6, 1.0), ("position", "command"), ("µm", "N"), strict=False):
         of_loops = [np.nan if one.says else scale * getattr(one, f"{signal}_rms") for one in loops]
-        axis.set_title(f"{signal} in closed loop, {unit} RMS", fontsize="medium")
+        axis.set(ylabel=f"{signal} RMS, {unit}", title="in closed loop")
         _points(axis, np.array(of_loops), scale * getattr(simulated[-1], f"{signal}_floor"), "runs away")
     for axis in axes:
         axis.set_xticks(
             np.arange(len(rms)), [comparison.name for comparison in found.comparisons], rotation=20, ha="right"
         )
         axis.set_xlim(-0.5, len(rms) - 0.5)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right")
-    figure.suptitle(f"The gap, {found.split.says}", x=0.01, ha="left")
+    legend_below(figure, axes[0])
+    told = [
+        (comparison.name, value) for comparison, value in zip(found.comparisons, rms, strict=True) if np.isfinite(value)
+    ]
+    gap = "no model's filter could tell it" if not told else f"{told[0][1]:.3g} N RMS {told[0][0]}"
+    gap += "" if len(told) < 2 else f", {told[-1][1]:.3g} N {told[-1][0]}"
+    floor = "" if found.floor is None else f" (noise floor {found.floor:.3g} N)"
+    say(figure, f"The missing force, {found.split.says}: {gap}{floor}")
     return figure
 
 
@@ -57,7 +70,7 @@ def _points(axis: Axes, values: np.ndarray, floor: float, why: str, spread: np.n
     """One value for each model, with its error bar, on a logarithmic axis; of one that is nan it is said `why`."""
     at, good = np.arange(len(values)), [one for one in (floor, *values) if np.isfinite(one)]
     axis.errorbar(at, values, yerr=spread, fmt="o", color=AFTER, capsize=4)
-    axis.axhline(floor, color="k", linestyle="--", label="noise floor")
+    axis.axhline(floor, ls=DASHES[1], label="noise floor", **REFERENCE)
     if good:
         axis.set_yscale("log")
         axis.set_ylim(min(good) / ROOM, max(good) * ROOM)
@@ -72,11 +85,12 @@ def _points(axis: Axes, values: np.ndarray, floor: float, why: str, spread: np.n
             axis.text(k, 0.97, why, transform=axis.get_xaxis_transform(), rotation=90, ha="center", va="top")
 
 
+@drawing
 def _missing(found: Diagnosis, logs: Sequence[Log]) -> Figure:
     """The force that is missing over time and position, and within the period that was found; before and after."""
     log = found.split.logs[-1]
     repeats = _period(found, log)
-    figure, axes = new_figure(2 if repeats is None else 3, 1, width=11.0, height=2.8, share_x=False)
+    figure, axes = new_figure(2 if repeats is None else 3, 1, height=2.2, share_x=False)
     lanes = [lane for lane, owner in enumerate(found.logged.owner) if owner == log]
     rate, starts = found.logged.sampling.rate, np.asarray(found.logged.starts)
     for comparison, label, color in (one for one in _first_and_last(found.comparisons) if one[0].force.told):
@@ -96,8 +110,12 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Figure:
         axes[2].set_xlabel("position within a period of {:.5g} mm ({}), mm".format(*repeats))
     for axis in axes:
         axis.set_ylabel("missing force, N")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
-    figure.suptitle(f"Missing force, {logs[log].name}\n{BLANK}", x=0.01, ha="left")
+    legend_below(figure, axes[0])
+    axes[0].set_title(BLANK)
+    shares = [
+        f"{one.force.rms:.3g} N RMS {label}" for one, label, _ in _first_and_last(found.comparisons) if one.force.told
+    ]
+    say(figure, f"Missing force, {logs[log].name}: {', '.join(shares) or 'the filter of 0 models could tell it'}")
     return figure
 
 
@@ -118,31 +136,44 @@ def _first_and_last(comparisons: Sequence[ModelComparison]) -> list[tuple[ModelC
     return [(comparisons[1], "recalibrated", BEFORE), *last]
 
 
+@drawing
 def _where(found: Diagnosis) -> Figure:
     """Shares of the gap beside the shares of the time."""
     significant = [one for one in found.where if one.dimension not in ("subsystem", "signal")]
     significant = [one for one in significant if one.p_value < SIGNIFICANT][:REGIONS] or significant[:REGIONS]
-    figure, axis = new_figure(width=9.0, height=0.9 + 0.34 * max(len(significant), 3))
+    figure, axis = new_figure(height=1.3 + 0.3 * max(len(significant), 3))
     at = np.arange(len(significant))[::-1]
     axis.barh(at + 0.2, [100 * one.share for one in significant], 0.4, color=AFTER, label="of the gap")
-    axis.barh(at - 0.2, [100 * one.expected for one in significant], 0.4, color=BEFORE, label="expected by chance")
+    axis.barh(at - 0.2, [100 * one.expected for one in significant], 0.4, label="expected by chance", **LESS)
     axis.set_yticks(at, [f"{one.dimension}: {one.region}" for one in significant])
     axis.set_xlabel("share, %")
-    axis.set_axisbelow(True)
-    figure.legend(loc="outside upper right", ncols=2)
+    legend_below(figure)
+    first = significant[0] if significant else None
+    say(figure, "The gap is the same everywhere: 0 places stand out" if first is None else (
+        f"{100 * first.share:.0f} % of the gap lies at {first.dimension} {first.region}, "
+        f"{100 * first.expected:.0f} % would by chance"
+    ))  # fmt: skip
     return figure
 
 
+@drawing
 def _causes(found: Diagnosis) -> Figure:
     """How sure each cause is."""
     beliefs = found.verdict.beliefs[:CAUSES]
-    figure, axis = new_figure(width=7.0, height=0.6 + 0.34 * max(len(beliefs), 3))
+    figure, axis = new_figure(height=1.3 + 0.3 * max(len(beliefs), 3))
     at = np.arange(len(beliefs))[::-1]
-    colors = [AFTER if one.found else BEFORE for one in beliefs]
-    axis.bar_label(axis.barh(at, [one.confidence for one in beliefs], color=colors), fmt="%.2f", padding=3)
+    for chosen, look, label in (
+        (True, {"color": AFTER}, "part of the explanation"),
+        (False, LESS, "not part of it"),
+    ):
+        some = [k for k, one in enumerate(beliefs) if bool(one.found) is chosen]
+        if some:
+            bars = axis.barh(at[some], [beliefs[k].confidence for k in some], label=label, **look)
+            axis.bar_label(bars, fmt="%.2f", padding=3)
     rounds = any(one.round for one in beliefs)
     axis.set_yticks(at, [f"{one.effect} (round {one.round + 1})" if rounds else one.effect for one in beliefs])
-    axis.set_xlim(0, 1.1)
-    axis.set_axisbelow(True)
-    axis.set_xlabel("confidence (blue: part of the explanation)")
+    axis.set(xlim=(0, 1.1), xlabel="confidence (0 to 1)")
+    legend_below(figure)
+    first = max(beliefs, key=lambda one: one.confidence)
+    say(figure, f"Most likely cause: {first.effect}, confidence {first.confidence:.2f}")
     return figure

@@ -93,6 +93,7 @@ def report_identification(report: Report, result: IdentificationResult) -> None:
         if name := write_axis_file(report, result.axis, "identified.toml"):
             report.keep("written", file=name)
         write_uncertainty(report.out, result.axis)
+    report.conclude(f"{readable.titled(result.headline())}.", good=result.status.ok)
     for doubt in result.doubts:
         report.say(f"Doubtful: {doubt}.")
     for lack in result.shortcomings:
@@ -181,6 +182,7 @@ def estimates_table(report: Report, found: Identification) -> None:
         ("parameter", "unit", "drive file", "identified", "95 % interval"),
         [_estimate(one) for one in found.estimates],
         notes=_hardly_determined(found),
+        of="estimates",
     )
 
 

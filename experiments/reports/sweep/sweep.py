@@ -12,6 +12,7 @@ from diffdrive.axis_file.drive_file import axis_tables, parse_axis, write_axis
 from diffdrive.errors import ParameterError
 from diffdrive.motion.text import require_choice
 from diffdrive.support.atomic_write import atomic_write
+from experiments.reports.charts.distribution import distribution_chart
 from experiments.reports.report import RESULT, Report, named_file
 from experiments.reports.simulation import write_simulation
 from experiments.reports.sweep import figures
@@ -118,6 +119,8 @@ def save_sweep_figures(
         return
     motion = f"_{named_file(all_groups[0].motion)}" if len(plan.motions) > 1 else ""
     report.figure(f"distribution{motion}", figures.distribution(all_groups, tolerance, by))
+    if (chart := distribution_chart(all_groups, tolerance, by)) is not None:
+        report.chart(f"distribution{motion}", chart)
     report.figure(f"exceedance{motion}", figures.exceedance_figure(all_groups, tolerance, by))
     for one, influences in found:
         if influences:

@@ -86,7 +86,9 @@ def print_sweep(
     """Errors, misses, comparisons, what drives the spread, what decides over divergence, and the worst machines."""
     report.data["results"] = [_numbers(one, tolerance) for one in found]
     all_groups = [one for one, _ in found]
-    for sentence in verdict(all_groups, tolerance, by):
+    sentences = verdict(all_groups, tolerance, by)
+    report.conclude(*sentences, good=False if any(one.diverged.any() for one in all_groups) else None)
+    for sentence in sentences:
         report.print(sentence, style="bold")
     rows: list[list[object]] = []
     missed: list[list[object]] = []
@@ -107,13 +109,14 @@ def print_sweep(
         missed.append([*place, int(np.sum(one.diverged)), _stuck(one), misses])
     report.record("errors", ("motion", "controller", "um", *(f"{100 * share:g} %" for share in SHARES), "worst"), rows)
     columns: tuple[str, ...] = ("motion", "controller", "error", "of machines, %", "at most, um", "95 % interval, um")
-    report.show("Tracking error over the machines", *_of_groups(all_groups, columns, listed))
+    report.show("Tracking error over the machines", *_of_groups(all_groups, columns, listed), of="errors")
     limit = "no tolerance given" if tolerance is None else f"{ERRORS[by]} beyond {1e6 * tolerance:g} um"
     columns = ("motion", "controller", "diverged", "at the force limit", "miss the tolerance, %")
     report.record("misses", columns, missed)
     report.show(
         f"Machines that diverged, that are at the force limit for half of the time or more, and misses: {limit}",
         *_of_groups(all_groups, columns, missed),
+        of="misses",
     )
     _compare(report, [one for one, _ in found], by)
     _blame(report, plan, found, by)
@@ -132,6 +135,7 @@ def print_sweep(
     report.show(
         f"Worst machines by {ERRORS[by]}; any machine again: diffdrive replay FOLDER --machine NUMBER",
         *_of_groups(all_groups, columns, named),
+        of="worst",
     )
 
 
@@ -206,6 +210,7 @@ def _blame(report: Report, plan: SweepPlan, found: Sequence[GroupInfluences], by
             f"What drives the spread: share of the variance of the logarithm of the {ERRORS[by]}, and its mean in the "
             "lowest and highest sixth" + (TOGETHER if plan.correlation else ""),
             *_of_groups([one for one, _ in found], headings, rows),
+            of="sensitivity",
         )
     for one, influences in found if plan.varied else ():
         place = f"{one.motion}, {one.controller}"

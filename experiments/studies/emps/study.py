@@ -6,17 +6,20 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from matplotlib.figure import Figure
 
 from diffdrive.errors import ParameterError
 from diffdrive.logs import Log
 from diffdrive.logs.checks.examine import examine
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Drive
-from experiments.reports.report import Report, new_figure
+from experiments.reports.page.chart import Chart, Line, Panel
+from experiments.reports.report import Report
+from experiments.reports.theme import BLACK, DASHES, SKY, drawing, legend_below, new_figure, say, style
 from experiments.studies.emps import axis as emps
 from experiments.studies.emps.closed_loop_fit import MAX_STEPS, fit_closed_loop
 from tuning.identification import inverse_dynamics
-from tuning.identification.curves import stribeck_curves
+from tuning.identification.curves import StribeckCurves, stribeck_curves
 from tuning.identification.estimates import EstimateStatus, ParameterEstimate
 from tuning.identification.identify import Identification, identify
 from tuning.identification.inverse_dynamics import BENCHMARK_BORDERS
@@ -148,18 +151,38 @@ def _parameter(drive: Drive, name: str) -> float | None:
 
 
 def force_figure(report: Report, record: emps.Record, replays: Mapping[str, ClosedLoopReplay]) -> None:
-    """Logged and simulated command, and their difference for each drive."""
-    figure, axes = new_figure(2, 1, width=9.0, height=2.4)
-    log = record.log
-    axes[0].plot(log.time, log.command, "k", lw=0.6, label="logged")
-    for name, replay in replays.items():
-        axes[1].plot(replay.time, replay.command_error, lw=0.6, label=name)
-    axes[0].plot(replay.time, replay.command, "C3", lw=0.6, label="simulated")
-    axes[0].set(ylabel="force, N", title="EMPS, estimation file: force command in closed loop")
-    axes[1].set(ylabel="difference, N", xlabel="time, s")
-    for axis in axes:
-        axis.legend(loc="upper right", fontsize=8)
-    report.figure("emps", figure)
+    """Save the figure of the forces."""
+    report.figure("emps", emps_figure(record, replays))
+    report.chart("emps", emps_chart(record, replays))
+
+
+def emps_chart(record: emps.Record, replays: Mapping[str, ClosedLoopReplay]) -> Chart:
+    """Logged and simulated command, and their differences, over time."""
+    forces = [Line("logged", record.log.time, record.log.command)]
+    forces += [Line(name, one.time, one.command) for name, one in replays.items()]
+    differences = [Line(name, one.time, one.command_error) for name, one in replays.items()]
+    panels = [Panel("time, s", "force, N", forces), Panel("time, s", "difference, N", differences)]
+    return Chart("Force command over time, logged and simulated in closed loop, and their differences.", panels)
+
+
+@drawing
+def emps_figure(record: emps.Record, replays: Mapping[str, ClosedLoopReplay]) -> Figure:
+    """Logged and simulated command, and their difference in a panel for each drive: one would cover another."""
+    figure, axes = new_figure(1 + len(replays), 1, height=1.7)
+    log, last = record.log, list(replays.values())[-1]
+    axes[0].plot(log.time, log.command, color=BLACK, label="logged")
+    axes[0].plot(last.time, last.command, color=SKY, ls=DASHES[1], lw=0.8, label=f"simulated, {list(replays)[-1]}")
+    axes[0].set(ylabel="force, N")
+    largest = max(float(np.max(np.abs(one.command_error))) for one in replays.values())
+    for axis, (name, replay) in zip(axes[1:], replays.items(), strict=True):
+        axis.plot(replay.time, replay.command_error, lw=0.8, color=BLACK)
+        axis.set(ylabel="difference, N", title=name, ylim=(-1.1 * largest, 1.1 * largest))
+    axes[-1].set_xlabel("time, s")
+    figure.align_ylabels()
+    legend_below(figure)
+    errors = (f"{np.sqrt(np.mean(np.square(one.command_error))):.3g} N {name}" for name, one in replays.items())
+    say(figure, f"EMPS, estimation file: the force command in closed loop differs by {', '.join(errors)} (RMS)")
+    return figure
 
 
 def _checks(report: Report, folder: Path, records: Records) -> None:
@@ -252,15 +275,29 @@ def _friction_figure(report: Report, drives: Mapping[str, Drive], log: Log) -> N
     """The force that a constant velocity takes: friction less the constant force, which can hardly be told apart."""
     measured = stribeck_curves(log, drives[IDENTIFIED])
     constant_force = float(drives[IDENTIFIED].plant.constant_force)
-    figure, axis = new_figure()
+    report.figure("emps_friction", emps_friction_figure(measured, drives, constant_force))
+
+
+@drawing
+def emps_friction_figure(measured: StribeckCurves, drives: Mapping[str, Drive], constant_force: float) -> Figure:
+    """Measured cruises, and the steady friction of each drive."""
+    figure, axis = new_figure(height=3.4)
+    apart = dict.fromkeys(drives, 0.0)
     for curve in measured.curves:
         force = curve.friction - constant_force
-        axis.errorbar(1e3 * curve.velocity, force, curve.standard_error, fmt="k.", label="measured, cruises")
+        axis.errorbar(
+            1e3 * curve.velocity, force, curve.standard_error, fmt="o", ms=4, color=BLACK, label="measured, cruises"
+        )
+        for name, drive in drives.items():
+            steady = steady_friction(drive.friction, jnp.asarray(curve.velocity)) - float(drive.plant.constant_force)
+            apart[name] = max(apart[name], float(np.max(np.abs(np.asarray(steady) - force))))
     speed = np.geomspace(1e-4, 0.14, 200)
-    velocity = jnp.asarray(np.concatenate([-speed[::-1], speed]))
-    for name, drive in drives.items():
-        steady = steady_friction(drive.friction, velocity) - float(drive.plant.constant_force)
-        axis.plot(1e3 * velocity, steady, lw=1, label=name)
-    axis.set(xlabel="velocity, mm/s", ylabel="force, N", title="EMPS: the force that a constant velocity takes")
-    axis.legend(fontsize=8)
-    report.figure("emps_friction", figure)
+    for k, (name, drive) in enumerate(drives.items()):
+        for side in (-1.0, 1.0):
+            steady = steady_friction(drive.friction, jnp.asarray(side * speed)) - float(drive.plant.constant_force)
+            axis.plot(1e3 * side * speed, steady, label=name if side > 0 else None, **style(k))
+    axis.set(xlabel="velocity, mm/s", ylabel="force, N")
+    legend_below(figure)
+    found = ", ".join(f"{most:.3g} N {name}" for name, most in apart.items())
+    say(figure, f"EMPS: the force that a constant velocity takes is met within {found}")
+    return figure

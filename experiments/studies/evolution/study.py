@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PyTree
+from matplotlib.figure import Figure
 
 from diffdrive.controllers import Cascade, Controller
 from diffdrive.errors import ParameterError
@@ -19,7 +20,8 @@ from diffdrive.model.parameters import Drive, Sensor
 from diffdrive.model.quantity import Directional, quantities
 from diffdrive.motion.builders import staircase
 from diffdrive.numerics.arrays import as_arrays
-from experiments.reports.report import Report, new_figure
+from experiments.reports.report import Report
+from experiments.reports.theme import drawing, legend_below, new_figure, plain_logarithmic, say, style
 from experiments.studies.emps import axis as emps
 from experiments.studies.evolution.two_stage import two_stage
 from tuning.identification.identify import COARSE_EVERY, COARSE_STEPS, start_points
@@ -256,17 +258,30 @@ def _report_searches(report: Report, descents: list[Descent], evolutions: list[E
     )
     searches: dict[str, Sequence[Descent | Evolution]] = {"gradient": descents, "evolution": evolutions}
     report.data["history"] = {name: [search.history for search in runs] for name, runs in searches.items()}
-    figure, axes = new_figure(1, 2, width=9.0, share_x=False)
-    for (name, runs), color in zip(searches.items(), ("C0", "C1"), strict=True):
-        for k, search in enumerate(runs):
-            simulations, seconds, cost = np.array(search.history).T
-            above = cost / best - 1.0 + MIN_EXCESS
-            axes[0].loglog(simulations, above, color, lw=1, label=None if k else name)
-            axes[1].loglog(seconds, above, color, lw=1)
-    axes[0].set(xlabel="simulations", ylabel="cost above the best, share", title="One derivative counts as one more")
-    axes[1].set(xlabel="wall time, s", title="Compiled before")
-    axes[0].legend()
-    report.figure("evolution", figure)
+    report.figure("evolution", evolution_figure(report.data["history"], best))
+
+
+@drawing
+def evolution_figure(histories: dict[str, list[list[HistoryEntry]]], best: float) -> Figure:
+    """How far each search is above the best cost, over simulations and over time."""
+    figure, axes = new_figure(1, 2, height=3.0, share_x=False)
+    for number, (name, runs) in enumerate(histories.items()):
+        for k, history in enumerate(runs):
+            simulations, seconds, cost = np.array(history).T
+            above = 100.0 * (cost / best - 1.0 + MIN_EXCESS)
+            axes[0].loglog(simulations, above, label=None if k else name, **style(number))
+            axes[1].loglog(seconds, above, **style(number))
+    axes[0].set(
+        xlabel="simulations (count)", ylabel="cost above the best, %", title="one derivative counts as one more"
+    )
+    axes[1].set(xlabel="wall time, s", ylabel="cost above the best, %", title="compiled before")
+    for axis in axes:
+        plain_logarithmic(axis.xaxis)
+        plain_logarithmic(axis.yaxis)
+    legend_below(figure)
+    ends = {name: 100.0 * (min(history[-1][2] for history in runs) / best - 1.0) for name, runs in histories.items()}
+    say(figure, "Best end above the best cost: " + ", ".join(f"{end:.3g} % {name}" for name, end in ends.items()))
+    return figure
 
 
 def _median_visit(visits: list[HistoryEntry | None]) -> tuple[float, float] | None:

@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 
 import diffdrive as dd
 from diffdrive.loop.run import Run
-from experiments.reports.report import new_figure
+from experiments.reports.theme import BLACK, PALE, drawing, legend_below, new_figure, save, say, style
 from experiments.studies.paper import scenario as paper
 
-KINDS = {  # kind of controller -> its name in the figure, its colour
-    "pd": ("PD alone", "C0"),
-    "pd+fc": ("friction observer, load unknown", "C1"),
-    "pd+fc+ls": ("friction observer, load estimated", "C2"),
+KINDS = {  # kind of controller -> its name in the figure
+    "pd": "PD alone",
+    "pd+fc": "friction observer, load unknown",
+    "pd+fc+ls": "friction observer, load estimated",
 }
 SHOWN = (1.5, 4.5)  # s, a reversal before the load comes on, and one under it
 
@@ -28,23 +28,28 @@ def simulated(scenario: paper.PaperScenario) -> dict[str, Run]:
     return {kind: dd.simulate(dd.paper_axis(kind), scenario.motion, scenario.load, throw=True) for kind in KINDS}
 
 
-def drawn(scenario: paper.PaperScenario, runs: dict[str, Run]) -> Figure:
-    """Three panels over time: motion and load, the error of all, and the error of the compensated ones."""
-    figure, (motion, error_panel, detail_panel) = new_figure(3, 1, width=8.0, height=1.75)
+@drawing
+def headline_figure(scenario: paper.PaperScenario, runs: dict[str, Run]) -> Figure:
+    """Over time: motion, load, the error of all, and the error of the compensated ones."""
+    figure, (motion, load, error_panel, detail_panel) = new_figure(4, 1, height=1.5)
     time = scenario.motion.time
-    motion.plot(time, 1e3 * scenario.motion.velocity, "k", label="velocity, mm/s")
-    motion.plot(time, 1e-3 * scenario.load, "C3", label="load, kN")
-    motion.set(ylim=(-13, 13))
-    motion.legend(loc="center", bbox_to_anchor=(0.5, 0.28), fontsize=8)
-    for panel, kinds in ((error_panel, list(KINDS)), (detail_panel, list(KINDS)[1:])):
-        for kind in kinds:
-            name, colour = KINDS[kind]
-            label = f"{name}: {1e6 * runs[kind].rms_error(*paper.AFTER_LOAD):.3g} um RMS"
-            panel.plot(time, 1e6 * runs[kind].error, colour, lw=0.8, label=label)
-        panel.axvspan(*paper.AFTER_LOAD, color="k", alpha=0.08, lw=0)
-    error_panel.set(ylabel="tracking error, um", ylim=(-15, 22))
-    error_panel.legend(loc="upper center", fontsize=8, title="at the reversal under 10 kN (shaded)", title_fontsize=8)
-    detail_panel.set(ylabel="enlarged, um", ylim=(-0.6, 0.6), xlabel="time, s", xlim=SHOWN)
+    motion.plot(time, 1e3 * scenario.motion.velocity, color=BLACK)
+    motion.set(ylabel="velocity, mm/s")
+    load.plot(time, 1e-3 * scenario.load, color=BLACK)
+    load.set(ylabel="load, kN")
+    errors = {kind: 1e6 * run.rms_error(*paper.AFTER_LOAD) for kind, run in runs.items()}
+    for k, kind in enumerate(KINDS):
+        for panel in (error_panel, detail_panel) if k else (error_panel,):
+            panel.plot(time, 1e6 * runs[kind].error, label=f"{KINDS[kind]}: {errors[kind]:.3g} µm RMS", **style(k))
+    for panel in (error_panel, detail_panel):
+        panel.axvspan(*paper.AFTER_LOAD, color=PALE, lw=0)
+    error_panel.set(ylabel="error, µm", title="tracking error; shaded: the reversal under load, where the RMS is taken")
+    detail_panel.set(ylabel="error, µm", title="magnified, without PD alone", xlabel="time, s", xlim=SHOWN)
+    figure.align_ylabels()
+    legend_below(figure, error_panel)
+    least = min(errors.values())
+    say(figure, f"Under {1e-3 * scenario.load[-1]:g} kN the error at a reversal falls from {errors['pd']:.3g} µm RMS "
+                f"with PD alone to {least:.1g} µm compensated")  # fmt: skip
     return figure
 
 
@@ -55,8 +60,8 @@ def main(file: Path) -> None:
     runs = simulated(scenario)
     for kind, run in runs.items():
         rms, peak = 1e6 * run.rms_error(*paper.AFTER_LOAD), 1e6 * run.peak_error(*paper.AFTER_LOAD)
-        sys.stdout.write(f"{KINDS[kind][0]} ({kind}): {rms:.3g} um RMS, {peak:.3g} um peak\n")
-    drawn(scenario, runs).savefig(file, dpi=120)
+        sys.stdout.write(f"{KINDS[kind]} ({kind}): {rms:.3g} um RMS, {peak:.3g} um peak\n")
+    save(headline_figure(scenario, runs), str(file), file.suffix[1:])
 
 
 if __name__ == "__main__":

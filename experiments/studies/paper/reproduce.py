@@ -20,6 +20,7 @@ from diffdrive.model.parameters import Drive, Friction
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.observers.friction_observer import KalmanObserver, LoadStateObserver, Tuning
 from diffdrive.observers.load_estimator import InnovationLoad
+from experiments.reports.charts.signals import errors_chart
 from experiments.reports.report import Report
 from experiments.studies.paper import scenario as paper
 from experiments.studies.paper.figures import (
@@ -165,13 +166,6 @@ def loaded_experiment(
     }
 
 
-def settled_rms(signal: np.ndarray, run: Run, start: float = 4.0) -> float:
-    """RMS at constant speed from `start` (s) on, when the load estimators have settled."""
-    speed = np.abs(run.reference_velocity)
-    cruising = (run.time >= start) & (speed > 0.999 * speed.max())
-    return float(np.sqrt(np.mean(signal[cruising] ** 2)))
-
-
 def table_4_rows(experiments: dict[float, dict[str, Run]]) -> list[list[object]]:
     """Estimation error (N), tracking error (um) and estimated load (kN), RMS: the paper's beside ours."""
     rows: list[list[object]] = []
@@ -184,11 +178,11 @@ def table_4_rows(experiments: dict[float, dict[str, Run]]) -> list[list[object]]
                 [
                     f"{kilonewtons} kN {name}",
                     published.get(f"e {suffix}"),
-                    settled_rms(run.friction_estimate - run.friction, run),
+                    paper.settled_rms(run.friction_estimate - run.friction, run),
                     published.get(f"t {suffix}"),
-                    1e6 * settled_rms(run.error, run),
+                    1e6 * paper.settled_rms(run.error, run),
                     published.get(f"W {suffix}"),
-                    None if run.load_estimate is None else 1e-3 * settled_rms(run.load_estimate, run),
+                    None if run.load_estimate is None else 1e-3 * paper.settled_rms(run.load_estimate, run),
                 ]
             )
     return rows
@@ -197,6 +191,7 @@ def table_4_rows(experiments: dict[float, dict[str, Run]]) -> list[list[object]]
 def reproduce(out: Path | None) -> Report:
     """Table 1, Figures 4, 5, 7, 8, 9 and 10 and Table 4, with every assumption stated; into `out` if given."""
     with Report("Lee et al. 2015, reproduced", out) as report:
+        report.conclude("The tables and figures of the paper, computed again; columns named paper are its own numbers.")
         for number, assumption in enumerate(ASSUMPTIONS, 1):
             report.say(f"Assumption {number}. {assumption}")
         exact, quantised = paper_drive(quantised=False), paper_drive()
@@ -297,3 +292,8 @@ def _figures(
     )
     report.figure("figure_9", figure_9(unloaded))
     report.figure("figure_10", figure_10(loaded))
+    report.chart("figure_7_signals", errors_chart("Figure 7: tracking errors and load over time.", runs))
+    report.chart("figure_9_signals", errors_chart("Figure 9: tracking errors over time, without load.", unloaded))
+    for kilonewtons, runs_under in loaded.items():
+        caption = f"Figure 10: tracking errors and load over time, {kilonewtons} kN."
+        report.chart(f"figure_10_signals_{kilonewtons:g}kN", errors_chart(caption, runs_under))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diffdrive.controllers import Controller
+from diffdrive.loop.run import Run
 from diffdrive.model.parameters import Drive
 from diffdrive.motion import load
 from diffdrive.motion.builders import triangular
@@ -22,6 +23,7 @@ __all__ = [
     "PaperScenario",
     "canonical",
     "controllers",
+    "settled_rms",
 ]
 
 KINDS = ("pd", "dobvsc", "pd+ff+dob", "pd+fc", "pd+fc+le", "pd+fc+ls")
@@ -61,3 +63,10 @@ def controllers(drive: Drive) -> dict[str, Controller]:
     """The paper's five controllers, and ours, with a model of exactly this drive."""
     examples = example_controllers(drive)
     return {kind.upper(): examples[kind] for kind in KINDS}
+
+
+def settled_rms(signal: np.ndarray, run: Run, start: float = 4.0) -> float:
+    """RMS at constant speed from `start` (s) on, when the load estimators have settled."""
+    speed = np.abs(run.reference_velocity)
+    cruising = (run.time >= start) & (speed > 0.999 * speed.max())
+    return float(np.sqrt(np.mean(signal[cruising] ** 2)))

@@ -24,7 +24,8 @@ from diffdrive.runtime import configure, cores
 from diffdrive.support.atomic_write import write_text
 from diffdrive.support.processes import processes
 from diffdrive.support.resources import format_count, require_memory
-from experiments.reports.report import Report, new_figure
+from experiments.reports.report import Report
+from experiments.reports.theme import BLUE, PALE, drawing, new_figure, say
 
 RATE = 4_000.0  # Hz
 RESULT, PROCESS = 1e4, 5e8  # bytes: of a draw's rows in memory, and of a process that identifies
@@ -154,7 +155,7 @@ def study(out: Path, count: int = 200, workers: int | None = None) -> None:
             intervals=total,
             median_seconds=float(np.median([draw["seconds"] for draw in draws])),
         )
-        report.figure("recovery", _figure(draws))
+        report.figure("recovery", recovery_figure(draws))
 
 
 def _covers(row: EstimateRow) -> bool:
@@ -194,15 +195,19 @@ def coverage(draws: list[DrawResult]) -> tuple[int, int]:
     return sum(inside), len(inside)
 
 
-def _figure(draws: list[DrawResult]) -> Figure:
+@drawing
+def recovery_figure(draws: list[DrawResult]) -> Figure:
     """Estimate minus truth in half-widths of the interval, per parameter: 95 % should lie within one."""
-    figure, axis = new_figure(1, 1, width=9.0, height=4.5)
     stems = list(dict.fromkeys(_stem(row["name"]) for draw in draws for row in draw["rows"]))
+    figure, axis = new_figure(height=1.3 + 0.28 * len(stems))
     for k, stem in enumerate(stems):
         rows = [r for draw in draws for r in draw["rows"] if _stem(r["name"]) == stem and r["status"] == "fitted"]
         errors = [2.0 * (r["value"] - r["true"]) / (r["high"] - r["low"]) for r in rows]
-        axis.plot(np.clip(errors, -4, 4), k + 0.3 * np.linspace(-1, 1, len(errors)), ".", ms=2)
-    axis.axvspan(-1, 1, color="0.9", zorder=0)
-    axis.set(yticks=range(len(stems)), yticklabels=stems, xlim=(-4.2, 4.2))
-    axis.set_xlabel("error, half-widths of the 95 % interval")
+        places = k + 0.3 * np.linspace(-1, 1, len(errors))
+        axis.plot(np.clip(errors, -4, 4), places, "o", ms=2, mew=0, color=BLUE)
+    axis.axvspan(-1, 1, color=PALE, lw=0)
+    axis.set(yticks=range(len(stems)), yticklabels=stems, xlim=(-4.2, 4.2), title="shaded: within the interval")
+    axis.set_xlabel("error over the half-width of its 95 % interval (ratio)")
+    covered, total = coverage(draws)
+    say(figure, f"{100.0 * covered / max(total, 1):.1f} % of {total} intervals hold the truth; 95 % should")
     return figure

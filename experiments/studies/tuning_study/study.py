@@ -21,7 +21,8 @@ from diffdrive.model.parameters import Actuator, Drive, Sampling, Sensor
 from diffdrive.model.presets import PAPER_KD, PAPER_KP, paper_drive
 from diffdrive.numerics.arrays import as_arrays
 from diffdrive.observers.friction_observer import LoadStateObserver
-from experiments.reports.report import Report, new_figure
+from experiments.reports.report import Report
+from experiments.reports.theme import drawing, legend_below, new_figure, plain_logarithmic, say, style
 from experiments.studies.tuning_study.baselines import BaselineResult, cma_es, costs_of, nelder_mead, random_search
 from experiments.studies.tuning_study.penalised import bfgs, levenberg_marquardt
 from tuning.gains.constrained import ConstrainedGains, TuningProblem, evaluate, linearise_at, tuning_problem
@@ -137,7 +138,7 @@ def _race(
     evaluated, derivatives_singly, seconds, _ = gradient[-1]
     report.values("gradient", status=tuned.status, starts=[float(start) for start in tuned.start_objectives],
                   evaluations=evaluated, derivatives_counted_singly=derivatives_singly, seconds=seconds)  # fmt: skip
-    report.figure("race", _race_figure(gradient, results))
+    report.figure("race", race_figure(gradient, results))
     return tuned, best
 
 
@@ -179,18 +180,25 @@ def _cost_to_reach(trail: list[tuple[int, int, float, float]], best: float) -> l
     return costs
 
 
-def _race_figure(gradient: list[tuple[int, int, float, float]], results: dict[str, list[BaselineResult]]) -> Figure:
-    figure, axes = new_figure(1, 2, width=11.0, height=3.8, share_x=False)
-    for axis, column, what in ((axes[0], 0, "evaluations"), (axes[1], 2, "seconds")):
+@drawing
+def race_figure(gradient: list[tuple[int, int, float, float]], results: dict[str, list[BaselineResult]]) -> Figure:
+    """The best objective so far over evaluations and over time: the gradient search, and each of the others."""
+    figure, axes = new_figure(1, 2, height=3.2, share_x=False)
+    for axis, column, what in ((axes[0], 0, "evaluations (count)"), (axes[1], 2, "time, s")):
         for k, (name, several) in enumerate(results.items()):
             for n, result in enumerate(several):
                 x = [v.simulations if column == 0 else v.seconds for v in result.history]
                 y = [v.feasible for v in result.history]
-                axis.step(x, y, f"C{k + 1}", lw=0.9, where="post", label=name if n == 0 else None)
+                axis.step(x, y, lw=0.9, where="post", label=name if n == 0 else None, **style(k + 1))
         least = np.minimum.accumulate([entry[3] for entry in gradient])
-        axis.step([entry[column] for entry in gradient], least, "C0", lw=2, where="post", label="gradient")
-        axis.set(xscale="log", yscale="log", xlabel=what, ylabel="mean RMS error, um")
-    axes[0].legend(loc="lower left", fontsize="small")
+        axis.step([entry[column] for entry in gradient], least, lw=2, where="post", label="gradient", **style(0))
+        axis.set(xscale="log", yscale="log", xlabel=what, ylabel="mean RMS error, µm")
+        plain_logarithmic(axis.xaxis)
+        plain_logarithmic(axis.yaxis)
+    legend_below(figure, axes[0])
+    ends = {"gradient": min(entry[3] for entry in gradient)}
+    ends |= {name: min(result.history[-1].feasible for result in several) for name, several in results.items()}
+    say(figure, "Least mean RMS error found: " + ", ".join(f"{end:.3g} µm {name}" for name, end in ends.items()))
     return figure
 
 
@@ -300,11 +308,20 @@ def _parameters(report: Report, bench: TuningBenchmark, evaluations: int) -> Non
         "CMA-ES s", "CMA-ES s in all",
     )  # fmt: skip
     report.table("parameters", columns, rows, "Cost to come within 5 % of the better of both")
-    figure, axes = new_figure(1, 2, width=10.0, height=3.4, share_x=False)
-    for axis, ours, theirs, what in ((axes[0], 3, 5, "evaluations"), (axes[1], 4, 6, "s")):
-        axis.plot([row[0] for row in rows], [row[ours] or np.nan for row in rows], "o-", label="gradient")
-        axis.plot([row[0] for row in rows], [row[theirs] or np.nan for row in rows], "s-", label="CMA-ES")
-        axis.set(xlabel="parameters", ylabel=f"{what} to within 5 %", yscale="log")
-    axes[0].legend()
-    figure.suptitle("no mark: did not come within 5 % of the better of both", fontsize="small")
-    report.figure("parameters", figure)
+    report.figure("parameters", parameters_figure(rows))
+
+
+@drawing
+def parameters_figure(rows: list[list[Any]]) -> Figure:
+    """Evaluations and time of both searches over the number of parameters; no mark: not within 5 % of the better."""
+    figure, axes = new_figure(1, 2, height=3.0, share_x=False)
+    for axis, ours, theirs, what in ((axes[0], 3, 5, "evaluations (count)"), (axes[1], 4, 6, "time, s")):
+        for k, (column, mark, name) in enumerate(((ours, "o", "gradient"), (theirs, "s", "CMA-ES"))):
+            axis.plot([row[0] for row in rows], [row[column] or np.nan for row in rows], mark, label=name, **style(k))
+        axis.set(xlabel="parameters (count)", ylabel=what, yscale="log")
+        plain_logarithmic(axis.yaxis)
+    axes[0].set_title("no mark: not within 5 % of the better of both")
+    legend_below(figure, axes[0])
+    within = [sum(row[column] is not None for row in rows) for column in (3, 5)]
+    say(figure, f"Within 5 % of the better in {within[0]} of {len(rows)} cases by gradient, in {within[1]} by CMA-ES")
+    return figure

@@ -71,13 +71,13 @@ def test_a_fatal_finding_is_named_with_its_mend_and_ends_with_3(checked):
 def test_two_encoders_have_a_table_and_a_picture(checked, tmp_path):
     """The motor 40 um ahead of the table in either direction: 80 um of lost motion."""
     turned = np.where(np.gradient(SOUND.position) < 0.0, -1.0, 1.0)
-    code, told = checked(replaced(motor_position=SOUND.position + 40e-6 * turned), "--svg")
+    code, told = checked(replaced(motor_position=SOUND.position + 40e-6 * turned), "--svg", "--pdf")
     assert code == 0
     rows = {row[1]: row[2:] for row in told["tables"]["encoders"]["rows"]}
     value, low, high, unit = rows["reversal error"]
     assert (value, unit) == (pytest.approx(80.0, rel=0.01), "um")
     assert low <= value <= high
     assert (tmp_path / "out" / "encoders.csv").exists()
-    assert (tmp_path / "out" / "encoders.png").exists()
-    assert (tmp_path / "out" / "encoders.svg").exists()
+    assert told["figures"] == [f"encoders.{ending}" for ending in ("png", "svg", "pdf")]
+    assert all((tmp_path / "out" / name).exists() for name in told["figures"])
     assert any("lost motion" in row[3] for row in told["tables"]["findings"]["rows"])

@@ -13,9 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from diffdrive.axis_file.drive_file import write_axis
+from diffdrive.library import PAPER_DRIVE
 from diffdrive.logs import write_log
 from experiments.cli import main as cli
-from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.emps import axis as emps
 from tests.support.small_disk import PAGE, mounted_disk
 from tests.support.sound_log import DRIVE, SOUND

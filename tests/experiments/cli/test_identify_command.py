@@ -29,6 +29,10 @@ from tuning.sweeps.machines import machines
 from tuning.sweeps.samples import correlate, correlation_root, unit_samples
 from tuning.sweeps.varied import parse_varied
 
+# What is worked out anew after a continued search: BLAS sums in the order that the memory's alignment allows, and an
+# information matrix of condition 2e5 makes 4e-11 of one rounding. Well above what a search that went elsewhere gives.
+ROUNDING = 1e-8
+
 
 @pytest.fixture(scope="module")
 def identified(folder):
@@ -47,6 +51,21 @@ def estimates(written):
 
 def records(written):
     return written["tables"]["estimates"]["rows"]
+
+
+def assert_alike(found, expected):
+    """All as expected, numbers but for ROUNDING."""
+    if isinstance(expected, float):
+        assert found == pytest.approx(expected, rel=ROUNDING)
+    elif isinstance(expected, dict):
+        assert found.keys() == expected.keys()
+        for name in expected:
+            assert_alike(found[name], expected[name])
+    elif isinstance(expected, list):
+        for one, other in zip(found, expected, strict=True):
+            assert_alike(one, other)
+    else:
+        assert found == expected
 
 
 @pytest.mark.long
@@ -187,9 +206,11 @@ def test_an_interrupted_identification_keeps_the_best_so_far_and_ends_with_3_and
     assert again.exit_code == 0
     assert "1 finished searches of an interrupted identification were used" in again.output
     continued = json.loads((out / "result.json").read_text())
-    for name in ("search", "accuracy", "adequacy", "starts"):
-        assert continued[name] == identified[2][name]
-    assert records(continued) == records(identified[2])
+    assert continued["search"] == identified[2]["search"]
+    assert continued["starts"] == identified[2]["starts"]
+    for name in ("accuracy", "adequacy"):
+        assert_alike(continued[name], identified[2][name])
+    assert_alike(records(continued), records(identified[2]))
     assert not (out / "identification.parts").exists()
 
 
@@ -246,7 +267,7 @@ FOLDER = emps.find_folder()
 @pytest.mark.skipif(FOLDER is None, reason="the EMPS log is not in ../shared/data/emps")
 def test_the_emps_axis_end_to_end(tmp_path):
     """The file with pulses is held out, they being taken out of the command and given as the disturbance."""
-    from experiments.studies.demo import PAPER_DRIVE
+    from diffdrive.library import PAPER_DRIVE
 
     pulses = emps.read(FOLDER / emps.FILES["pulses"]).log
     mapping = read_axis(PAPER_DRIVE.parent / "emps.toml").mapping

@@ -9,7 +9,7 @@ import diffdrive as dd
 import tuning
 from experiments.cli import drives, logs, sweeps
 
-FILES = {"drive", "log", "out", "svg"}  # what a command reads and writes
+FILES = {"drive", "log", "out", "svg", "pdf"}  # what a command reads and writes
 COMMANDS = {
     # --loads, --max-load and --steps are numbers of the command's own; --of and --unit are read_frequency_response's
     "tune": (drives.tune, (tuning.tune,), {"max_load", "loads", "steps", "pareto"}),

@@ -13,7 +13,6 @@ from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import ParameterError
 from experiments.cli.main import app
 from experiments.reports.sweep import sweep as command
-from experiments.studies.demo import PAPER_DRIVE
 
 MOTION = "sine:amplitude=1mm,frequency=10Hz,duration=0.1s"
 VARY = ("--vary", "plant.mass=lognormal:3%", "--vary", "load=uniform:0..10 kN")
@@ -27,7 +26,7 @@ def run(*arguments):
 def drives(tmp_path_factory):
     """A drive with noise, and the same under a controller that does not know of friction."""
     folder = tmp_path_factory.mktemp("drives")
-    text = PAPER_DRIVE.read_text(encoding="utf-8")
+    text = run("template", "--controller", "pd+fc+le").output  # the paper's, without its [uncertainty]
     (folder / "axis.toml").write_text(text.replace("\nresolution =", "\nnoise = 2e-8\nresolution =", 1))
     head = text[: text.index("[controller.observer]")].replace('kind = "pd+fc+le"', 'kind = "pd"')
     tail = text[text.index("[units]") :]

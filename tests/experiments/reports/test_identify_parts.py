@@ -7,10 +7,10 @@ import jax
 import numpy as np
 
 from diffdrive.axis_file.drive_file import read_axis
+from diffdrive.library import PAPER_DRIVE
 from diffdrive.loop.simulate import simulate_loop
 from experiments.reports.identification.forest import forest
 from experiments.reports.identification.identification import _hardly_determined
-from experiments.studies.demo import PAPER_DRIVE
 from experiments.studies.emps import axis as emps
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
 from tests.support.sound_log import RATE, axis_of, simulate_log

@@ -15,7 +15,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.support.atomic_write import PREFIX
 from experiments.cli.main import app
 from experiments.reports.output_folder import NO_LOCKS, OutputFolder, ReservedFile
-from experiments.reports.report import RESULT, Report
+from experiments.reports.report import PAGE, RESULT, Report
 from tests.support.small_disk import simulated_disk
 
 HOLD = (
@@ -63,7 +63,7 @@ def test_a_folder_that_another_run_writes_to_is_refused_and_free_again_when_that
             report.values("found", number=1)
     finally:
         os.kill(child, signal.SIGTERM)
-    assert names(tmp_path) == [RESULT]
+    assert names(tmp_path) == [PAGE, RESULT]
     assert json.loads((tmp_path / RESULT).read_text())["found"] == {"number": 1}
 
 
@@ -75,8 +75,8 @@ def test_one_process_has_two_folders_one_below_the_other_but_none_twice(tmp_path
         pytest.raises(ParameterError, match="another run is writing"),
     ):
         again.__enter__()
-    assert names(tmp_path) == sorted(["below", RESULT])
-    assert names(tmp_path / "below") == [RESULT]
+    assert names(tmp_path) == sorted(["below", PAGE, RESULT])
+    assert names(tmp_path / "below") == [PAGE, RESULT]
 
 
 def test_of_many_at_once_one_has_the_folder(tmp_path):
@@ -117,7 +117,7 @@ def test_a_file_system_without_locks_is_written_to_all_the_same(tmp_path, monkey
     monkeypatch.setattr("filelock.FileLock.acquire", unknown)
     with Report("without", tmp_path) as report:
         report.values("found", number=1)
-    assert names(tmp_path) == sorted([stale.name, RESULT])  # it may be of a run that goes on
+    assert names(tmp_path) == sorted([stale.name, PAGE, RESULT])  # it may be of a run that goes on
 
 
 def test_room_that_is_held_is_there_when_the_disk_is_full(tmp_path, monkeypatch):

@@ -56,11 +56,22 @@ def test_an_axis_that_holds_still_has_no_error_and_is_drawn(tolerance):
 
 
 def test_machines_that_diverged_are_marked_and_count_in_the_slices():
-    figure = figures.error_against([PARTLY, WILD], "load", "N", TOLERANCE, "peak")
+    partly = group(np.r_[np.linspace(1e-7, 1e-6, 800), np.full(200, np.inf)], "partly")
+    figure = figures.error_against([partly, WILD], "load", "N", TOLERANCE, "peak")
     found = told(figure)
-    assert found["partly: diverged"].get_data()[0] == pytest.approx(np.linspace(0.0, 10.0, 100)[80:])
+    assert found["partly: diverged"].get_data()[0] == pytest.approx(np.linspace(0.0, 10.0, 1000)[800:])
     assert len(found["wild: diverged"].get_data()[0]) == 100
     medians = found["partly: median"].get_data()[1]
     assert np.isfinite(medians[0])
     assert np.isnan(medians[-1])  # most of those there diverged
     figure.canvas.draw()
+
+
+@pytest.mark.parametrize(("machines", "bins"), [(60, 1), (150, 2), (5_000, 12)])
+def test_a_bin_has_enough_machines_to_bound_its_high_quantile_and_is_as_wide_as_it_is(machines, bins):
+    """Of 72 independent machines the largest is below the 95 % quantile in 2.5 % of the cases."""
+    assert 0.95**figures.ENOUGH <= 0.025 < 0.95 ** (figures.ENOUGH - 1)
+    found = told(figures.error_against([group(np.linspace(1e-7, 1e-6, machines))], "load", "N", None, "peak"))
+    edges = found["one: median"].get_data()[0]
+    assert edges == pytest.approx(np.linspace(0.0, 10.0, bins + 1), abs=10.0 * bins / machines)
+    assert ("one: 95 % of them" in found) is (machines >= figures.ENOUGH)

@@ -10,7 +10,8 @@ from diffdrive.errors import MotionError, ParameterError
 from diffdrive.model.parameters import Sampling
 from diffdrive.motion.builders import triangular
 from diffdrive.motion.text import LOADS, MOTIONS, parse_load, parse_motion
-from experiments.reports.report import Report, new_figure
+from experiments.reports.report import Report
+from experiments.reports.theme import new_figure
 from experiments.studies.emps import axis as emps
 from experiments.studies.emps import study as emps_study
 from experiments.studies.paper import scenario as paper

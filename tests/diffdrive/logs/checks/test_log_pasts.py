@@ -8,12 +8,12 @@ import pytest
 from diffdrive import motion
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import LoadEstimatorWarning
+from diffdrive.library import PAPER_DRIVE
 from diffdrive.logs import Log
 from diffdrive.logs.checks.consistency import explain_command
 from diffdrive.logs.checks.examine import examine
 from diffdrive.logs.checks.relation import controller_relation
 from diffdrive.loop.simulate import simulate_loop
-from experiments.studies.demo import PAPER_DRIVE
 from tests.support.sound_log import (
     FORCE_PER_VOLT,
     axis_of,

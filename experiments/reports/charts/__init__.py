@@ -1,0 +1,1 @@
+"""What one zooms into on a page: signals, missing force, frequency responses, distributions; each as a `Chart`."""
