@@ -111,7 +111,8 @@ def spikes(log: Log, controller_command: Signal | None = None) -> Iterator[Findi
             yield Finding(
                 "warning",
                 name,
-                f"{len(k)} single-sample spikes, the largest {second_difference[worst]:.4g} {CHANNELS[name].unit} at "
+                f"{f'{len(k)} single-sample spikes, the largest' if len(k) > 1 else '1 single-sample spike,'} "
+                f"{second_difference[worst]:.4g} {CHANNELS[name].unit} at "
                 f"t = {log.time[worst + 1]:.6g} s",
                 "mask these samples or replace them by the mean of their neighbours",
                 "outliers",
