@@ -18,6 +18,8 @@ from experiments.cli.reference import reference
 from experiments.cli.studies import studies
 from experiments.cli.sweeps import sweeps
 
+STAYS = "and what was written so far stays"
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -70,7 +72,12 @@ def main() -> None:
         except SystemExit as ended:
             # typer makes that code of a Ctrl-C, and a search ends on it with its best; threads may go on computing
             if ended.code == INTERRUPTED or (watch.received_at is not None and not ended.code):
-                watch.leave("and what was written so far stays")
+                watch.leave(STAYS)
+            raise
+        except RuntimeError as problem:
+            # of what its Python callbacks raise, jax's compiler (MLIR) keeps the text alone, of a Ctrl-C, too
+            if watch.raised and "KeyboardInterrupt" in str(problem):
+                watch.leave(STAYS)
             raise
 
 

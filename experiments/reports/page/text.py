@@ -20,6 +20,7 @@ def visible(text: str) -> str:
 
 def flowing(text: str) -> str:
     """A sentence in which no line breaks between a number and its unit; one with a command in it stays as it is."""
+    text = visible(text)  # first: what reads units there looks for a plain space before them
     return text if "diffdrive " in text or "--" in text else _BEFORE_UNIT.sub("\N{NO-BREAK SPACE}", text)
 
 

@@ -104,6 +104,29 @@ except KeyboardInterrupt: print("interrupted")
     assert (code, said) == (0, "interrupted\n")
 
 
+def test_an_interrupt_in_the_midst_of_a_compilation_is_no_failure(tmp_path):
+    """The compiler calls Python back, and makes another exception of what that raises."""
+    program = """
+import os, signal, sys, time
+from jax._src.interpreters import mlir
+from jax._src.lib.mlir import ir
+from experiments.cli import main
+def interrupted(_):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(10.0)
+def compiles():
+    with mlir.make_ir_context():
+        ir.Module.parse("module { }").operation.walk(interrupted)
+main.app = compiles
+main.main()
+"""
+    ran = subprocess.run(
+        [sys.executable, "-c", program, "--out", str(tmp_path)], text=True, capture_output=True, timeout=60.0
+    )
+    assert ran.returncode == 130, ran.stderr
+    assert ran.stderr.splitlines() == ["", "interrupted, and what was written so far stays; it had written nothing"]
+
+
 @pytest.mark.long
 def test_results_are_written_in_peace_after_the_first_interrupt(tmp_path):
     program = """
