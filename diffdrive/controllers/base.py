@@ -2,13 +2,14 @@
 
 import abc
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, PyTree
 
 from diffdrive.errors import ParameterError
+from diffdrive.model.memory import Memory
 from diffdrive.model.parameters import Drive, Plant
 from diffdrive.model.presets import PAPER_KD, PAPER_KP
 from diffdrive.model.quantity import Directional, quantity, quantity_table
@@ -242,8 +243,8 @@ class PDGains(eqx.Module):
 class LastError(NamedTuple):
     """The error one period ago (m), and whether there was one."""
 
-    error: Scalar
-    known: Bool[Array, ""]
+    error: Annotated[Scalar, Memory("m", "position error one period ago")]
+    known: Annotated[Bool[Array, ""], Memory("", "whether there was one")]
 
     @classmethod
     def none(cls) -> "LastError":

@@ -8,7 +8,7 @@ What a cascade leaves out is None, and costs nothing.
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
 import jax
@@ -35,6 +35,7 @@ from diffdrive.controllers.kinds import FEEDFORWARD, Keys, Kind, Option, Section
 from diffdrive.controllers.position_loop import Averaged, Held, SetPoint
 from diffdrive.errors import ParameterError
 from diffdrive.model.actuator import limited
+from diffdrive.model.memory import Memory
 from diffdrive.model.parameters import LIMIT_ROUNDING, Drive
 from diffdrive.model.quantity import is_number, quantity, quantity_table
 from diffdrive.numerics.arrays import Scalar
@@ -45,13 +46,13 @@ from diffdrive.support.typing import TomlTable
 class CascadeState(NamedTuple):
     """Past positions and the velocity loop's integral; None for what the cascade has not."""
 
-    past: Pipeline  # measured positions of which the velocity is made, oldest first
-    integral: Scalar  # N
-    started: Scalar
-    velocity_lag: Scalar | None = None  # state of the filter of the velocity, m/s
+    past: Annotated[Pipeline, Memory("m", "measured positions of which the velocity is made, oldest first")]
+    integral: Annotated[Scalar, Memory("N", "integral of the velocity loop")]
+    started: Annotated[Scalar, Memory("1", "0 before the first sample, then 1")]
+    velocity_lag: Annotated[Scalar | None, Memory("m/s", "state of the filter of the velocity")] = None
     set_point: SetPoint | None = None
     held: Held | Averaged | None = None
-    filters: tuple[PyTree, ...] = ()
+    filters: Annotated[tuple[PyTree, ...], Memory("N", "state of a filter of the force command")] = ()
 
 
 class Cascade(Controller):

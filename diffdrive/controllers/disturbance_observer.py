@@ -1,11 +1,12 @@
 """The disturbance observer (DOB) that DOBVSC and PD+FF+DOB share: dhat = Q(s) (u - M s^2 x - B s x)."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from diffdrive.controllers.kinds import Keys, Section
+from diffdrive.model.memory import Memory
 from diffdrive.model.parameters import Drive, Plant
 from diffdrive.model.quantity import Directional, quantity
 from diffdrive.numerics.arrays import Scalar
@@ -18,9 +19,9 @@ class DisturbanceState(NamedTuple):
     differenced twice, would be a force of 1e-10 N, and of newtons in single precision.
     """
 
-    position: Scalar  # m, of the last sample
-    lags: tuple[Scalar, Scalar]  # m
-    force: tuple[Scalar, Scalar]  # N
+    position: Annotated[Scalar, Memory("m", "measured position one period ago")]
+    lags: Annotated[tuple[Scalar, Scalar], Memory("m", "lag of the measured position, output minus input")]
+    force: Annotated[tuple[Scalar, Scalar], Memory("N", "lag of the force")]
 
 
 class DisturbanceObserver(eqx.Module):

@@ -1,7 +1,7 @@
 """PD+FF+DOB: friction predicted from the reference, the rest left to a disturbance observer."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
@@ -31,6 +31,7 @@ from diffdrive.controllers.kinds import (
     read_tracking,
 )
 from diffdrive.model.friction import deflection_after, friction_force, lugre_coefficients
+from diffdrive.model.memory import Memory
 from diffdrive.model.parameters import Drive, Friction
 from diffdrive.model.quantity import quantity, quantity_table
 from diffdrive.numerics.arrays import Scalar
@@ -42,8 +43,8 @@ class FeedforwardState(NamedTuple):
     """Last error, bristle of the fed-forward friction (m), its force last time (N), disturbance observer."""
 
     last_error: LastError
-    bristle: Scalar
-    last_feedforward: Scalar
+    bristle: Annotated[Scalar, Memory("m", "bristle deflection of the friction that is fed forward")]
+    last_feedforward: Annotated[Scalar, Memory("N", "friction that was fed forward one period ago")]
     disturbance: DisturbanceState
 
 

@@ -12,7 +12,7 @@ rounding, in single precision, too, where the usual direct form is off by 1e-3 f
 
 import abc
 from collections.abc import Mapping
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from diffdrive.controllers.kinds import Keys, Section
+from diffdrive.model.memory import Memory
 from diffdrive.model.quantity import quantities, quantity, quantity_table
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.exponential import exp_neg
@@ -69,8 +70,8 @@ class PT1(Filter):
 class SecondOrderState(NamedTuple):
     """Of the two integrators: band-pass and low-pass of the signal, in its unit."""
 
-    band: Scalar
-    low: Scalar
+    band: Annotated[Scalar, Memory("", "filter of second order: band-pass of its signal")]
+    low: Annotated[Scalar, Memory("", "filter of second order: low-pass of its signal")]
 
 
 class _SecondOrderFilter(Filter):

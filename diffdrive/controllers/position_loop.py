@@ -1,12 +1,13 @@
 """What goes on around the gain of a position loop: delay and filter of its set-point, a slower cycle, held between."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from diffdrive.controllers.filters import PT1
+from diffdrive.model.memory import Memory
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.pipeline import Pipeline, filled, pushed
 
@@ -14,8 +15,8 @@ from diffdrive.numerics.pipeline import Pipeline, filled, pushed
 class SetPoint(NamedTuple):
     """Past position set-points (m), oldest first, and the state of their filter; None where there is none."""
 
-    past: Pipeline
-    lag: Scalar | None
+    past: Annotated[Pipeline, Memory("m", "past position set-points, oldest first")]
+    lag: Annotated[Scalar | None, Memory("m", "state of the filter of the position set-point")]
 
     @classmethod
     def at(cls, position: Scalar, delay_samples: int, filter_time: Scalar | None) -> "SetPoint | None":
@@ -41,8 +42,8 @@ class SetPoint(NamedTuple):
 class Held(NamedTuple):
     """The velocity set-point (m/s) of the last cycle of a position loop, and the samples until the next."""
 
-    value: Scalar
-    remaining: Int[Array, ""]
+    value: Annotated[Scalar, Memory("m/s", "velocity set-point of the last cycle of the position loop")]
+    remaining: Annotated[Int[Array, ""], Memory("1", "samples until its next cycle")]
 
     @classmethod
     def at(cls, value: Scalar) -> "Held":
@@ -59,7 +60,7 @@ class Held(NamedTuple):
 class Averaged(NamedTuple):
     """The smooth variant of `Held`: the mean over the last cycle, which is what a hold is to a slow signal."""
 
-    past: Pipeline  # velocity set-points, m/s
+    past: Annotated[Pipeline, Memory("m/s", "past velocity set-points, oldest first")]
 
     @classmethod
     def at(cls, value: Scalar, every: int) -> "Averaged":

@@ -6,7 +6,7 @@ returns its estimates: friction to cancel, load, velocity.
 
 import abc
 import dataclasses
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import PyTree
 
 from diffdrive.model.friction import LuGreCoefficients, friction_force, lugre_coefficients
+from diffdrive.model.memory import Memory
 from diffdrive.model.parameters import Friction, Plant
 from diffdrive.model.quantity import quantity, quantity_table
 from diffdrive.model.transition import state_matrices, transition
@@ -33,12 +34,31 @@ class ObserverEstimate(NamedTuple):
     innovation: Scalar | None = None  # m, measured minus predicted position
 
 
+_ESTIMATED = ("position", "velocity", "bristle deflection", "load")
+_UNITS = ("m", "m/s", "m", "N")
+_COVARIANCE_UNITS = (("m^2", "m^2/s", "m^2", "N*m"), ("m^2/s^2", "m^2/s", "N*m/s"), ("m^2", "N*m"), ("N^2",))
+
+
+def _covariance(name: str, other: str) -> str:
+    return f"variance of the estimated {name}" if name == other else f"covariance of the estimated {name} and {other}"
+
+
+_OF_X = tuple(Memory(unit, f"estimated {name}") for name, unit in zip(_ESTIMATED[:3], _UNITS, strict=False))
+_OF_COVARIANCE = tuple(
+    tuple(
+        Memory(unit, _covariance(name, other))
+        for other, unit in zip(_ESTIMATED[row:], _COVARIANCE_UNITS[row], strict=True)
+    )
+    for row, name in enumerate(_ESTIMATED)
+)
+
+
 class ObserverState(NamedTuple):
     """Estimated [x, v, z], its covariance and the estimated load (N)."""
 
-    x: kalman.Vector
-    covariance: kalman.Triangle
-    load: Scalar
+    x: Annotated[kalman.Vector, _OF_X]
+    covariance: Annotated[kalman.Triangle, _OF_COVARIANCE]
+    load: Annotated[Scalar, Memory("N", "load on the guides, estimated or assumed")]
 
 
 class FrictionObserver(eqx.Module):

@@ -70,14 +70,24 @@ AT_START = Signal("start_position", "m", "measured position at the start")
 
 
 class State(NamedTuple):
-    """What is kept from step to step: the part of the controller's state that it holds, and its first value."""
+    """What is kept from step to step: the part of the controller's state that it holds, and its first value.
+
+    Unit and meaning are "" where the controller does not state them.
+    """
 
     name: str
     path: str
+    unit: str
+    meaning: str
     kind: Kind
     size: int | None
     initial: Value  # from parameters and the measured position
     following: Value
+
+    @property
+    def comment(self) -> str:
+        """What is known of it, for a comment."""
+        return f"{self.unit}: {self.meaning}" if self.unit and self.meaning else self.meaning or self.path
 
 
 @dataclass(frozen=True)
@@ -111,11 +121,15 @@ class Program:
         def restated(one: Signal) -> Signal:
             return one._replace(unit=unit_of(one.unit))
 
+        def state(one: State) -> State:  # some have no unit
+            return one._replace(unit=unit_of(one.unit) if one.unit else "")
+
         return replace(
             self,
             parameters=tuple(one._replace(unit=unit_of(one.unit)) for one in self.parameters),
             inputs=tuple(map(restated, self.inputs)),
             outputs=tuple((restated(one), value) for one, value in self.outputs),
+            states=tuple(map(state, self.states)),
             at_start=restated(self.at_start),
         )
 

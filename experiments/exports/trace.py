@@ -15,6 +15,7 @@ from jaxtyping import PyTree
 from diffdrive.controllers import Controller, Reference
 from diffdrive.controllers.base import Encoders
 from diffdrive.model.friction import resolvable
+from diffdrive.model.memory import memories
 from diffdrive.model.quantity import Directional, quantities, with_nodes
 from diffdrive.numerics.arrays import in_precision_of, require_double_precision
 from experiments.exports.names import ends_of, identifiers
@@ -98,8 +99,10 @@ def program_of(controller: Controller, period: float, name: str, *, single: bool
             inputs=inputs,
             outputs=((FORCE, force), *zip(estimated, estimates, strict=True)),
             states=tuple(
-                State(one, path, kind, size, first, after)
-                for (one, path), kind, size, first, after in zip(names, kinds, sizes, initial, following, strict=True)
+                State(one, path, said.unit, said.meaning, kind, size, first, after)
+                for (one, path), said, kind, size, first, after in zip(
+                    names, memories(state), kinds, sizes, initial, following, strict=True
+                )
             ),
         )
     )

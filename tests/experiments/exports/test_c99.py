@@ -1,6 +1,7 @@
 """The C code of every controller compiles without a warning, and answers what the simulator answers."""
 
 import ctypes
+import re
 import shutil
 import subprocess
 import sys
@@ -81,6 +82,17 @@ def test_sanitizers_find_nothing(name, tmp_path):
         inputs = replay.inputs | {"scale_position": broken}
         _, code = compiled_differences(program, replay._replace(inputs=inputs), tmp_path, COMPILERS[0], flags)
         assert code == 1  # the bench tells it, and no sanitizer ended it
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_each_parameter_and_each_number_that_is_kept_has_a_comment(name):
+    program, replay = replayed_program(VARIANTS[name], samples=501)
+    header = c_files(program, "a test", replay, dict.fromkeys(replay.outputs, 1e-9))["axis_x.h"]
+    for struct, entries in (("parameters", program.parameters), ("state", program.states)):
+        (body,) = re.findall(rf"typedef struct {{\n([^}}]*)}} axis_x_{struct};", header)
+        told = dict(re.findall(r"^    \w+ (\w+)(?:\[\d+\])?; /\* (.+) \*/$", body, re.MULTILINE))
+        assert list(told) == [one.name for one in entries]
+        assert all(one.meaning.split(",")[0] in told[one.name] for one in entries)
 
 
 def test_the_bench_tells_another_law(tmp_path):

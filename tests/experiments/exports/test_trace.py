@@ -1,6 +1,7 @@
 """What a controller's step becomes, and what cannot be written elsewhere is refused by its name."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +9,8 @@ import pytest
 
 from diffdrive.controllers import UnknownController
 from diffdrive.controllers.base import Command, Controller
+from diffdrive.model.data_sheet import DataSheet
+from diffdrive.model.motor_units import axis_unit
 from diffdrive.model.quantity import quantities, quantity
 from experiments.exports.program import ExportError
 from experiments.exports.trace import program_of
@@ -27,6 +30,26 @@ class Custom(Controller):
 
     def step(self, state, reference, position, applied, period):
         return state, Command(self.law(self.gain * (reference.position - position)))
+
+
+class Inner(NamedTuple):
+    x: jax.Array
+
+
+class Outer(NamedTuple):
+    inner: Inner
+
+
+class Nested(Controller):
+    """A state within a state, of which nothing is stated."""
+
+    gain: float = quantity("N/m", "gain", default=2.0)
+
+    def init(self, position):
+        return Outer(Inner(position))
+
+    def step(self, state, reference, position, applied, period):
+        return Outer(Inner(position)), Command(self.gain * (state.inner.x - position))
 
 
 @pytest.mark.parametrize("name", VARIANTS)
@@ -54,6 +77,25 @@ def test_an_input_that_is_not_read_says_so():
     assert unread == ["reference_acceleration", "applied_force"]
     observed = program_of(VARIANTS["pd+fc"].controller, PERIOD, "axis")
     assert not any("not read" in one.meaning for one in observed.inputs)
+
+
+def test_what_is_kept_says_what_it_is_also_on_a_rotary_axis():
+    program = program_of(VARIANTS["pd+fc+ls"].controller, PERIOD, "axis")
+    rotary = program.in_units(lambda unit: axis_unit(unit, DataSheet(kind="rotary")))
+    comments = {
+        one.path: (one.comment, turned.comment) for one, turned in zip(program.states, rotary.states, strict=True)
+    }
+    assert comments["last_error.known"] == ("whether there was one",) * 2
+    assert comments["observer.x[1]"] == ("m/s: estimated velocity", "rad/s: estimated velocity")
+    assert comments["observer.covariance[1][0]"][1] == "rad^2/s^2: variance of the estimated velocity"
+    assert comments["observer.covariance[3][0]"][1].startswith("(N*m)^2: ")
+
+
+def test_of_a_state_that_says_nothing_its_place_is_told():
+    program = program_of(Custom(lambda error: error), PERIOD, "axis")
+    assert {one.comment for one in program.states} == {""}  # an array, the whole state
+    nested = program_of(Nested(), PERIOD, "axis")
+    assert [one.comment for one in nested.states] == ["inner.x"]
 
 
 def test_a_controller_whose_law_is_unknown_is_refused():
