@@ -111,9 +111,14 @@ class Program:
         return tuple(value for value in order if not value.in_step and value.operation != "literal")
 
     @property
+    def values(self) -> tuple[Value, ...]:
+        """All that is read or computed, each after its operands."""
+        return tuple(_depth_first(self._targets, through=lambda _: True))
+
+    @property
     def leaves(self) -> tuple[Value, ...]:
         """Parameters, inputs and states that are read."""
-        return tuple(value for value in _depth_first(self._targets, through=lambda _: True) if value.is_leaf)
+        return tuple(value for value in self.values if value.is_leaf)
 
     def in_units(self, unit_of: Callable[[str], str]) -> "Program":
         """With other units of the same numbers, such as those of a rotary axis; `unit_of` gives each its own."""

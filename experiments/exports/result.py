@@ -22,6 +22,7 @@ class ExportResult(Result):
     files: tuple[str, ...]
     kind: str  # of the controller
     rate: float  # Hz
+    fingerprint: str  # of the law and of its numbers, whatever the target
     precision: str
     steps: int  # of the run
     differences: dict[str, float]
@@ -42,7 +43,15 @@ class ExportResult(Result):
 
     def summary(self) -> str:
         files = f"files: {', '.join(self.files)}"
-        return "\n".join([self.headline(), files, f"next: {self.next_command}", *(f"- {note}" for note in self.notes)])
+        return "\n".join(
+            [
+                self.headline(),
+                f"fingerprint: {self.fingerprint}",
+                files,
+                f"next: {self.next_command}",
+                *(f"- {note}" for note in self.notes),
+            ]
+        )
 
     def as_dict(self) -> dict[str, object]:
         """Every number, by names that carry their unit."""
@@ -51,6 +60,7 @@ class ExportResult(Result):
             "files": list(self.files),
             "controller": self.kind,
             "rate_Hz": self.rate,
+            "fingerprint": self.fingerprint,
             "precision": self.precision,
             "steps": self.steps,
             "relative_differences": self.differences,

@@ -19,6 +19,7 @@ class Target:
     """A language or format: its name, what it is, and the function that writes its files.
 
     `write` takes the program, a title, the run to replay, and the relative difference of each output that is borne.
+    `readme` is the template of the readme, beside what all targets have in theirs.
     """
 
     name: str
@@ -26,25 +27,29 @@ class Target:
     write: Callable[[Program, str, Replay, Mapping[str, float]], Files]
     next_command: Callable[[str], str]  # of the program's name
     has_c_bench: bool = False
+    readme: str = "readme.txt.jinja"
 
 
 _BUILT_IN = (
     Target(
         "c99", "C without allocation: a structure of state, and a step function", c_files,
         lambda name: f"cc -std=c99 -O2 -o {name}_bench {name}.c {name}_bench.c -lm && ./{name}_bench {name}_run.csv",
-        has_c_bench=True,
+        has_c_bench=True, readme="readme_c99.txt.jinja",
     ),
     Target(
         "structured-text", "a function block of IEC 61131-3, for TwinCAT, CODESYS and others", st_files,
         lambda name: f"import {name}.st and {name}_bench.st, and call {name}_bench until it is done",
+        readme="readme_structured_text.txt.jinja",
     ),
     Target(
         "fmu", "a co-simulation FMU of FMI 3.0, with its sources", fmu_files,
         lambda name: f"pip install fmpy && python {name}_fmu_bench.py",
+        readme="readme_fmu.txt.jinja",
     ),
     Target(
         "hal", "a component of LinuxCNC, for halcompile", hal_files,
         lambda name: f"sudo halcompile --install {name}.comp && python3 {name}_hal_bench.py",
+        readme="readme_hal.txt.jinja",
     ),
 )  # fmt: skip
 TARGETS: Registry[Target] = Registry("target", {target.name: target for target in _BUILT_IN})

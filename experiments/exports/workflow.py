@@ -13,8 +13,10 @@ from diffdrive.simulation import simulate
 from diffdrive.support.atomic_write import atomic_write
 from diffdrive.support.messages import suggestion
 from experiments.exports.compiled import replayed
+from experiments.exports.fingerprint import fingerprint_of
 from experiments.exports.names import checked_name, name_of
 from experiments.exports.program import ExportError, Program
+from experiments.exports.readme import readme_files
 from experiments.exports.replay import Replay, replay_of
 from experiments.exports.result import ExportResult
 from experiments.exports.targets import TARGETS
@@ -76,11 +78,23 @@ def export(
     lost = _lost(replay, replay_of(program, axis, motion, run, single=True)) if single else {}
     tolerances = {one: SINGLE_MARGIN * lost[one] if single else DOUBLE_TOLERANCE for one in replay.outputs}
     described = TARGETS[target]
-    files = described.write(program, f"{axis.name}: {motion.name}", replay, tolerances)
+    files = dict(described.write(program, f"{axis.name}: {motion.name}", replay, tolerances))
     differences = replayed(prefix, files) if described.has_c_bench else {}
     for one, difference in differences.items():
         if not difference <= tolerances[one]:
             raise ExportError(f"the compiled code's {one} differs from the simulation by {difference:.2g}: report it")
+    notes = _notes(axis, program, run, lost)
+    files = files | readme_files(
+        described,
+        program,
+        axis_name=axis.name,
+        motion_name=motion.name,
+        steps=len(run.time),
+        files=tuple(files),
+        tolerances=tolerances,
+        differences=differences,
+        notes=notes,
+    )
     out = Path(folder)
     out.mkdir(parents=True, exist_ok=True)
     for file, content in files.items():
@@ -92,12 +106,13 @@ def export(
         files=tuple(files),
         kind=program.kind,
         rate=axis.rate,
+        fingerprint=fingerprint_of(program),
         precision=precision,
         steps=len(run.time),
         differences=differences,
         lost=lost,
         next_command=described.next_command(prefix),
-        notes=_notes(axis, program, run, lost),
+        notes=notes,
     )
 
 

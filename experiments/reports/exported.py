@@ -59,5 +59,6 @@ def report_export(report: Report, result: ExportResult) -> None:
         report.table("agreement", columns, rows, "Largest difference from the simulation over the largest value")
     for note in result.notes:
         report.say(note)
+    report.print(f"fingerprint: {result.fingerprint}")
     report.print(f"files: {', '.join(result.files)}")
     report.print(f"next, in {result.folder}: {result.next_command}")

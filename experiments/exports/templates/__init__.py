@@ -1,9 +1,12 @@
 """The texts that are filled in, by Jinja2."""
 
+import textwrap
 import unicodedata
 from functools import cache
 
 import jinja2
+
+from experiments.exports.fingerprint import fingerprint_of
 
 WIDTH = 112
 
@@ -25,18 +28,31 @@ def _environment() -> jinja2.Environment:
     )
     environment.filters["comment"] = comment
     environment.filters["quoted"] = quoted
+    environment.filters["plain"] = plain
+    environment.filters["wrapped"] = wrapped
+    environment.filters["fingerprint"] = fingerprint_of
     environment.filters["pin"] = lambda name: name.replace("_", "-")
     return environment
 
 
-def comment(text: object) -> str:
-    """Text that ends no comment of C or of Structured Text, in one line of ASCII.
+def plain(text: object) -> str:
+    """Text in one line of ASCII.
 
     Editors of controllers read other encodings than UTF-8, and letters that turn the direction would hide code.
     """
-    plain = unicodedata.normalize("NFKD", " ".join(str(text).split()))
-    line = "".join(letter if letter.isascii() and letter.isprintable() else "?" for letter in plain
+    letters = unicodedata.normalize("NFKD", " ".join(str(text).split()))
+    return "".join(letter if letter.isascii() and letter.isprintable() else "?" for letter in letters
                    if not unicodedata.combining(letter))  # fmt: skip
+
+
+def wrapped(text: object) -> str:
+    """Text in lines of ASCII, as an item of a list."""
+    return textwrap.fill(plain(text), WIDTH, initial_indent="- ", subsequent_indent="  ")
+
+
+def comment(text: object) -> str:
+    """Text that ends no comment of C or of Structured Text, in one line of ASCII."""
+    line = plain(text)
     return line.replace("*/", "* /").replace("/*", "/ *").replace("*)", "* )").replace("(*", "( *")[:WIDTH]
 
 
