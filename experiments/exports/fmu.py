@@ -13,12 +13,12 @@ from pathlib import Path
 from diffdrive.support.atomic_write import write_text
 from experiments.exports.c99 import c_code
 from experiments.exports.compiled import compiler
+from experiments.exports.fmu_units import units_of
 from experiments.exports.program import ExportError, Program
 from experiments.exports.replay import Replay
 from experiments.exports.templates import rendered
 from experiments.reports.report import version_of
 
-BASES = {"kilogram": "kg", "meter": "m", "second": "s", "radian": "rad"}
 SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("windows", ".dll")}
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}  # as the standard calls them
 OLDEST = (1980, 1, 1, 0, 0, 0)  # that a zip file can state: the same FMU is the same bytes
@@ -54,7 +54,7 @@ def fmu(program: Program, title: str) -> bytes:
 def _texts(program: Program, title: str, token: str) -> Mapping[str, str]:
     """The files of the archive but the library."""
     values = {"code": c_code(program), "program": program, "title": title, "version": version_of("diffdrive")}
-    values |= {"token": token, "units": _units(program)}
+    values |= {"token": token, "units": units_of(program)}
     templates = {
         "modelDescription.xml": "modelDescription.xml.jinja",
         "sources/buildDescription.xml": "buildDescription.xml.jinja",
@@ -63,25 +63,6 @@ def _texts(program: Program, title: str, token: str) -> Mapping[str, str]:
         f"sources/{program.name}_fmi3.c": "fmi3.c.jinja",
     }
     return {file: rendered(template, **values) for file, template in templates.items()}
-
-
-def _units(program: Program) -> dict[str, dict[str, int]]:
-    """The units, and the powers of the base units that each of them is; none for one that is no power of them."""
-    import pint  # half a second, and no other export reads units
-
-    registry = pint.UnitRegistry()
-    signals = (*program.inputs, *(signal for signal, _ in program.outputs))
-    names = ["s", program.at_start.unit, *(one.unit for one in signals), *(one.unit for one in program.parameters)]
-    found: dict[str, dict[str, int]] = {}
-    for name in dict.fromkeys(names):
-        if name == "1":
-            continue
-        if name == "dB":
-            found[name] = {}
-            continue
-        base = registry.Quantity(1.0, name).to_base_units()
-        found[name] = {BASES[unit]: round(float(f"{power}")) for unit, power in base.unit_items()}
-    return found
 
 
 def _library(program: Program, files: Mapping[str, str]) -> dict[str, bytes]:
