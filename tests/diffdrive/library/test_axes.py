@@ -67,6 +67,28 @@ def test_an_axis_keeps_half_of_its_gain_margin_on_machines_two_deviations_off(na
             assert phase > 20.0, (path, sign)
 
 
+TYPICAL = "typical, not from a data sheet"
+UNSTATED = ("damping", "breakaway_gap", "stribeck_velocity", "viscous", "bristle_stiffness", "bristle_damping")
+
+
+@each_generic
+def test_what_no_data_sheet_states_is_named_typical_beside_its_number(name):
+    text = FILES[name].read_text(encoding="utf-8")
+    for key in UNSTATED:
+        (comment,) = re.findall(rf"^{key} = [^#]*# (.*)$", text, re.M)
+        assert TYPICAL in comment, key
+    assert TYPICAL in tomllib.loads(text)["provenance"]["assumed"]
+    assert [line for line in text.splitlines() if "wipers" in line and TYPICAL not in line] == []
+
+
+def test_the_page_names_what_is_typical():
+    page = (Path(__file__).resolve().parents[3] / "docs/reference/axes.md").read_text(encoding="utf-8")
+    for part in ("preload torque of the nut", "friction coefficient", "preload of the guides", "wipers and cable"):
+        (row,) = re.findall(rf"^\| {part} \|.*$", page, re.M)
+        assert TYPICAL in row
+    assert f"*{TYPICAL}*, and the files say so beside each number" in page
+
+
 def cruise(axis, speed=0.05):
     """A stroke to and fro, and the last tenth of the second before each stroke ends its cruise."""
     motion = dd.motion.jerk_limited(
