@@ -32,8 +32,8 @@ def _base_unit(registry: "pint.UnitRegistry", name: str) -> dict[str, str] | Non
         zero, one = (registry.Quantity(number, name).to_base_units() for number in (0.0, 1.0))
     except (pint.UndefinedUnitError, pint.DefinitionSyntaxError):
         return None
-    units = dict(one.unit_items())
-    if name in LOGARITHMIC or not set(units) <= set(BASES) or any(power != round(power) for power in units.values()):
+    units = {unit: float(f"{power}") for unit, power in one.unit_items()}
+    if name in LOGARITHMIC or not set(units) <= set(BASES) or not all(power.is_integer() for power in units.values()):
         return None
     offset = float(zero.magnitude)
     factor = float(one.magnitude) - offset

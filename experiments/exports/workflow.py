@@ -78,13 +78,13 @@ def export(
     lost = _lost(replay, replay_of(program, axis, motion, run, single=True)) if single else {}
     tolerances = {one: SINGLE_MARGIN * lost[one] if single else DOUBLE_TOLERANCE for one in replay.outputs}
     described = TARGETS[target]
-    files = dict(described.write(program, f"{axis.name}: {motion.name}", replay, tolerances))
+    files = described.write(program, f"{axis.name}: {motion.name}", replay, tolerances)
     differences = replayed(prefix, files) if described.has_c_bench else {}
     for one, difference in differences.items():
         if not difference <= tolerances[one]:
             raise ExportError(f"the compiled code's {one} differs from the simulation by {difference:.2g}: report it")
     notes = _notes(axis, program, run, lost)
-    files = files | readme_files(
+    readme = readme_files(
         described,
         program,
         axis_name=axis.name,
@@ -95,6 +95,7 @@ def export(
         differences=differences,
         notes=notes,
     )
+    files = {**files, **readme}
     out = Path(folder)
     out.mkdir(parents=True, exist_ok=True)
     for file, content in files.items():
