@@ -14,6 +14,7 @@ from experiments.exports.c99 import c_files
 from experiments.exports.compiled import compiler
 from experiments.exports.program import ExportError
 from experiments.exports.trace import program_of
+from tests.support.export_targets import TOLERANCES, write_files
 from tests.support.exported import (
     COMPILERS,
     STRICT,
@@ -108,8 +109,7 @@ def test_the_bench_tells_another_law(tmp_path):
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler on this machine")
 def test_a_program_in_cpp_may_include_the_header(tmp_path):
     program, replay = replayed_program(VARIANTS["pd"], samples=501)
-    for file, text in c_files(program, "a test", replay, dict.fromkeys(replay.outputs, 1e-9)).items():
-        (tmp_path / file).write_text(text)
+    write_files(c_files(program, "a test", replay, TOLERANCES), tmp_path)
     (tmp_path / "main.cpp").write_text(
         '#include "axis_x.h"\nint main() { axis_x_controller c; axis_x_set_parameters(&c, &axis_x_drive_file); }\n'
     )
@@ -132,8 +132,7 @@ def library(tmp_path):
     """The cascade with all parts as a library."""
     axis = VARIANTS["cascade, all parts"]
     program, replay = replayed_program(axis, samples=301)
-    for file, text in c_files(program, "a test", replay, {"force": 1e-9}).items():
-        (tmp_path / file).write_text(text)
+    write_files(c_files(program, "a test", replay, TOLERANCES), tmp_path)
     options = [*STRICT, "-O1", "-shared", "-fPIC", "-o", "axis.so", "axis_x.c", "-lm"]
     subprocess.run([COMPILERS[0], *options], cwd=tmp_path, check=True)
     return program, replay, ctypes.CDLL(str(tmp_path / "axis.so"))

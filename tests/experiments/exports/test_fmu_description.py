@@ -1,7 +1,5 @@
 """What an FMU says of its variables: the unit of each by base units, and which of them may be set when."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -12,7 +10,7 @@ from diffdrive.model.motor_units import axis_unit
 from experiments.exports.fmu import fmu_files
 from experiments.exports.fmu_units import units_of
 from experiments.exports.trace import program_of
-from tests.support.export_targets import TOLERANCES, fmu_contents, write_files
+from tests.support.export_targets import TOLERANCES, fmu_contents, run_with_fmpy, write_files
 from tests.support.exported import COMPILERS, VARIANTS, replayed_program
 
 NO_COMPILER = "experiments.exports.fmu.compiler"
@@ -95,13 +93,6 @@ def test_an_output_is_calculated_and_has_no_start():
 
 
 SET = """
-import sys
-from fmpy import extract, read_model_description
-from fmpy.fmi3 import FMU3Slave
-description, folder = read_model_description(sys.argv[1]), extract(sys.argv[1])
-one = FMU3Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier="axis_x", instanceName="one")
-one.instantiate()
-
 def settable():
     found = []
     for variable in description.modelVariables:
@@ -129,8 +120,7 @@ def test_what_may_be_set_is_what_the_description_says(tmp_path):
     pytest.importorskip("fmpy", reason="FMPy is not installed")
     program, replay = replayed_program(VARIANTS["pd+fc"], samples=301)
     write_files(fmu_files(program, "a test", replay, TOLERANCES), tmp_path)
-    command = [sys.executable, "-c", SET, str(tmp_path / "axis_x.fmu")]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    ran = run_with_fmpy(SET, tmp_path / "axis_x.fmu")
     instantiated, initialising, values, initialised, stepped = (line.split() for line in ran.stdout.splitlines())
     always = [one.name for one in (*program.inputs, *program.parameters)]
     assert instantiated == initialising == [program.at_start.name, *always]

@@ -1,10 +1,6 @@
-"""Structured Text, FMU and HAL: accepted by an independent compiler or tool, and the same answers."""
+"""FMU and HAL: accepted by an independent compiler or tool, and the same answers."""
 
-import io
-import math
-import os
 import re
-import shutil
 import subprocess
 import sys
 import zipfile
@@ -20,116 +16,11 @@ from diffdrive.paper import paper_axis
 from experiments.exports.fmu import fmu_files
 from experiments.exports.hal import hal_files
 from experiments.exports.program import ExportError
-from experiments.exports.structured_text import st_files
 from experiments.exports.targets import TARGETS
 from experiments.exports.trace import program_of
 from experiments.exports.workflow import export
+from tests.support.export_targets import TOLERANCES, fmu_contents, run_with_fmpy, write_component, write_files
 from tests.support.exported import COMPILERS, VARIANTS, has, lap, replayed_program
-
-HARNESS = """
-#include "POUS.h"
-#include <stdio.h>
-#include "POUS.c"
-TIME __CURRENT_TIME;
-BOOL __DEBUG;
-int main(void)
-{
-    static AXIS_X_BENCH bench;
-    AXIS_X_BENCH_init__(&bench, 0);
-    for (int call = 0; call < 501; ++call) {
-        AXIS_X_BENCH_body__(&bench);
-    }
-    printf("%g", (double)bench.DEVIATION.value);
-    return bench.DONE.value && bench.PASSED.value ? 0 : 1;
-}
-"""
-NOT_A_NUMBER = """
-#include "POUS.h"
-#include <math.h>
-#include <stdio.h>
-#include "POUS.c"
-TIME __CURRENT_TIME;
-BOOL __DEBUG;
-int main(void)
-{
-    static AXIS_X controller;
-    AXIS_X_init__(&controller, 0);
-    for (int call = 0; call < 12; ++call) {
-        controller.SCALE_POSITION.value = call == 5 ? NAN : 1e-7 * call;
-        AXIS_X_body__(&controller);
-        printf("%g ", (double)controller.FORCE.value);
-    }
-    return 0;
-}
-"""
-with_matiec = pytest.mark.skipif(
-    not has("iec2c"), reason="no MatIEC (iec2c) on this machine: build github.com/beremiz/matiec"
-)
-TOLERANCES = dict.fromkeys(("force", "friction_estimate", "innovation", "load_estimate", "velocity_estimate"), 1e-9)
-
-
-def written(files, folder):
-    for file, content in files.items():
-        path = folder / file
-        path.write_bytes(content) if isinstance(content, bytes) else path.write_text(content)
-
-
-def run_by_matiec(text, harness, folder):
-    """Structured Text as `axis_x.st`, compiled with a program in C around it, and run."""
-    (folder / "axis_x.st").write_text(text)
-    (folder / "harness.c").write_text(harness)
-    matiec = os.environ.get("IEC2C", "iec2c")
-    library = os.environ.get("MATIEC_LIB") or os.path.join(os.path.dirname(shutil.which(matiec)), "lib")
-    made = subprocess.run(
-        [matiec, "-I", library, "-T", str(folder), "axis_x.st"], cwd=folder, capture_output=True, text=True
-    )
-    assert made.returncode == 0, made.stderr
-    subprocess.run(["gcc", "-w", f"-I{library}/C", "-o", "bench", "harness.c", "-lm"], cwd=folder, check=True)
-    return subprocess.run([folder / "bench"], cwd=folder, capture_output=True, text=True)
-
-
-@pytest.mark.long
-@with_matiec
-@pytest.mark.parametrize("name", VARIANTS)
-@pytest.mark.parametrize("single", [False, True], ids=["LREAL", "REAL"])
-def test_an_independent_compiler_takes_the_structured_text_and_its_bench_passes(name, single, tmp_path):
-    program, replay = replayed_program(VARIANTS[name], samples=501, single=single)
-    text = "".join(st_files(program, "a test", replay, {"force": 0.02 if single else 1e-9}).values())
-    ran = run_by_matiec(text, HARNESS, tmp_path)
-    assert ran.returncode == 0, ran.stdout
-
-
-@pytest.mark.long
-@with_matiec
-@pytest.mark.parametrize("name", ["cascade, all parts", "pd+fc+le"])
-def test_a_position_that_is_no_number_is_seen_in_the_command_of_structured_text(name, tmp_path):
-    """Also behind a force limit: a full command would be the worst answer."""
-    program, replay = replayed_program(VARIANTS[name], samples=501)
-    text = "".join(st_files(program, "a test", replay, TOLERANCES).values())
-    ran = run_by_matiec(text, NOT_A_NUMBER, tmp_path)
-    forces = [float(force) for force in ran.stdout.split()]
-    assert [math.isnan(force) for force in forces] == [False] * 5 + [True] * 7
-
-
-def test_structured_text_takes_parameters_with_and_without_a_restart():
-    program, replay = replayed_program(VARIANTS["cascade, all parts"], samples=301)
-    block = st_files(program, "a test", replay, TOLERANCES)["axis_x.st"]
-    condition = "IF restart OR update_parameters OR NOT initialised THEN\n"
-    parameters, rest = block.split(condition)[1].split("END_IF;", 1)
-    start = rest.split("IF restart OR NOT initialised THEN\n")[1].split("END_IF;")[0]
-    assert "k_kp := kp;" in parameters
-    assert "s_" not in parameters
-    assert all(f"s_{one.name}" in start for one in program.states)
-
-
-@pytest.mark.parametrize("name", VARIANTS)
-def test_structured_text_declares_each_name_once(name):
-    program, replay = replayed_program(VARIANTS[name], samples=501)
-    block = st_files(program, "a *) test", replay, TOLERANCES)["axis_x.st"]
-    head = block.split("END_VAR\n\nIF", 1)[0]
-    names = [line.split(" : ")[0].strip().lower() for line in head.splitlines() if " : " in line and line[:4] == "    "]
-    assert len(names) == len(set(names))
-    assert block.count("*)") == block.count("(*")
 
 
 @pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
@@ -138,16 +29,15 @@ def test_the_fmu_is_valid_and_replays_the_run(name, tmp_path):
     validation = pytest.importorskip("fmpy.validation", reason="FMPy is not installed")
     program, replay = replayed_program(VARIANTS[name], samples=501)
     files = fmu_files(program, 'a <"&> test', replay, TOLERANCES)
-    written(files, tmp_path)
+    write_files(files, tmp_path)
     assert validation.validate_fmu(str(tmp_path / "axis_x.fmu")) == []
     ran = subprocess.run([sys.executable, str(tmp_path / "axis_x_fmu_bench.py")], capture_output=True, text=True)
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert files["axis_x.fmu"] == fmu_files(program, 'a <"&> test', replay, TOLERANCES)["axis_x.fmu"]
 
 
-def token_of(files):
-    with zipfile.ZipFile(io.BytesIO(files["axis_x.fmu"])) as archive:
-        return re.search('instantiationToken="(.*?)"', archive.read("modelDescription.xml").decode())[1]
+def token_of(contents):
+    return re.search('instantiationToken="(.*?)"', contents["modelDescription.xml"].decode())[1]
 
 
 def test_the_token_of_an_fmu_is_that_of_its_gains(monkeypatch):
@@ -156,31 +46,27 @@ def test_the_token_of_an_fmu_is_that_of_its_gains(monkeypatch):
     _, replay = replayed_program(axis, samples=501)
     other = axis.with_gains(kp=2.0 * axis.gains["kp"])
     programs = [program_of(one.controller, 1.0 / axis.rate, "axis_x") for one in (axis, axis, other)]
-    first, again, changed = (token_of(fmu_files(one, "a test", replay, TOLERANCES)) for one in programs)
+    first, again, changed = (token_of(fmu_contents(one, replay)) for one in programs)
     assert first == again != changed
 
 
 def test_a_title_that_no_xml_holds_leaves_the_description_readable(monkeypatch):
     monkeypatch.setattr("experiments.exports.fmu.compiler", lambda: None)
     program, replay = replayed_program(VARIANTS["pd"], samples=501)
-    files = fmu_files(program, 'a "\x01" <test> \ud800', replay, TOLERANCES)
-    with zipfile.ZipFile(io.BytesIO(files["axis_x.fmu"])) as archive:
-        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    contents = fmu_contents(program, replay, 'a "\x01" <test> \ud800')
+    root = ElementTree.fromstring(contents["modelDescription.xml"])
     assert root.get("description") == 'a "?" <test> ?'
 
 
-def test_an_fmu_without_a_compiler_has_its_sources(monkeypatch, tmp_path):
+def test_an_fmu_without_a_compiler_has_its_sources(monkeypatch):
     monkeypatch.setattr("experiments.exports.fmu.compiler", lambda: None)
     program, replay = replayed_program(VARIANTS["pd"], samples=501)
-    written(fmu_files(program, "a test", replay, TOLERANCES), tmp_path)
-    with zipfile.ZipFile(tmp_path / "axis_x.fmu") as archive:
-        names = set(archive.namelist())
     assert {
         "modelDescription.xml",
         "sources/axis_x.c",
         "sources/axis_x_fmi3.c",
         "sources/buildDescription.xml",
-    } <= names
+    } <= set(fmu_contents(program, replay))
 
 
 @pytest.mark.long
@@ -188,7 +74,7 @@ def test_an_fmu_without_a_compiler_has_its_sources(monkeypatch, tmp_path):
 @pytest.mark.parametrize("name", ["cascade, all parts", "pd+fc+le"])
 def test_the_hal_component_builds(name, tmp_path):
     program, replay = replayed_program(VARIANTS[name], samples=501)
-    written(hal_files(program, 'a "test"', replay, TOLERANCES), tmp_path)
+    write_component(program, replay, tmp_path, own_headers=False)
     made = subprocess.run(["halcompile", "--compile", "axis_x.comp"], cwd=tmp_path, capture_output=True, text=True)
     assert made.returncode == 0, made.stdout + made.stderr
     assert (tmp_path / "axis_x.so").exists()
@@ -212,9 +98,7 @@ int main(void)
 def test_a_component_in_a_thread_of_another_period_gives_no_force(tmp_path):
     """The servo thread of most configurations has 1 ms: gains for 10 kHz would run in it without a word."""
     program, replay = replayed_program(VARIANTS["pd"], samples=301)
-    written(hal_files(program, "a test", replay, TOLERANCES), tmp_path)
-    for header in ("math", "string"):  # of LinuxCNC
-        (tmp_path / f"rtapi_{header}.h").write_text(f"#include <{header}.h>\n")
+    write_component(program, replay, tmp_path)
     (tmp_path / "harness.c").write_text(PERIOD_HARNESS)
     subprocess.run([COMPILERS[0], "-I.", "-w", "-o", "harness", "harness.c", "-lm"], cwd=tmp_path, check=True)
     assert subprocess.run([tmp_path / "harness"]).returncode == 0b00011
@@ -226,12 +110,6 @@ def test_a_component_in_a_thread_of_another_period_gives_no_force(tmp_path):
 
 
 STEP = """
-import sys
-from fmpy import extract, read_model_description
-from fmpy.fmi3 import FMU3Slave
-description, folder = read_model_description(sys.argv[1]), extract(sys.argv[1])
-one = FMU3Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier="axis_x", instanceName="one")
-one.instantiate()
 one.enterInitializationMode()
 one.exitInitializationMode()
 try:
@@ -246,9 +124,8 @@ except Exception:
 def test_a_step_of_an_fmu_that_has_no_end_is_refused(step, code, tmp_path):
     pytest.importorskip("fmpy", reason="FMPy is not installed")
     program, replay = replayed_program(VARIANTS["pd"], samples=301)
-    written(fmu_files(program, "a test", replay, TOLERANCES), tmp_path)
-    command = [sys.executable, "-c", STEP, str(tmp_path / "axis_x.fmu"), step]
-    assert subprocess.run(command, capture_output=True, text=True, timeout=60).returncode == code
+    write_files(fmu_files(program, "a test", replay, TOLERANCES), tmp_path)
+    assert run_with_fmpy(STEP, tmp_path / "axis_x.fmu", step).returncode == code
 
 
 def test_a_name_that_is_too_long_for_hal_is_refused_with_the_length_that_is_not():
