@@ -10,7 +10,9 @@ MAX_LISTED = 30  # names; of more, those nearest to the wanted one are listed
 NEAREST = 5
 MAX_LENGTH = 60  # characters of one name or value
 
-_REPR = reprlib.Repr(maxlevel=3, maxlist=6, maxdict=4, maxstring=MAX_LENGTH, maxlong=40, maxother=MAX_LENGTH)
+_REPR = reprlib.Repr()  # which takes no arguments before Python 3.12
+_REPR.maxlevel, _REPR.maxlist, _REPR.maxdict = 3, 6, 4
+_REPR.maxstring, _REPR.maxlong, _REPR.maxother = MAX_LENGTH, 40, MAX_LENGTH
 
 
 def printable(text: str) -> str:
