@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     import pint
 
 # pint alone reads "kg" as 1 kg, "100,5 kg" as 1005 kg and "100 200 kg" as 20000 kg
-_NUMBER_AND_UNIT = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*(?P<unit>|(?!.*\s\d)[^\d\s.,*+-][^,]*)")
+_NUMBER_AND_UNIT = re.compile(
+    r"\s*(?P<number>[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)\s*(?P<unit>|(?!.*\s\d)[^\d\s.,*+-][^,]*)"
+)
 # an M for an m; nobody writes a million of these so
 _SLIPS = {"megameter": ("Mm", "mm", "1000 km"), "megasecond": ("Ms", "ms", "1e6 s"), "megagram": ("Mg", "mg", "1 t")}
 
@@ -47,10 +49,12 @@ def to_si(text: str, unit: str) -> float:
 
     example = "0.5, without a unit" if unit == "1" else f"'1.5 {unit}'"
     quoted, units = shortened(text), []
-    if not _NUMBER_AND_UNIT.fullmatch(text):
+    split = _NUMBER_AND_UNIT.fullmatch(text)
+    if split is None:
         raise ValueError(f"cannot read '{quoted}' as one number and its unit; write for example {example}")
     try:
-        quantity = _registry().Quantity(text)
+        # apart: pint before 0.26 multiplies a number by decibels in an expression only where a registry allows it
+        quantity = _registry().Quantity(float(split["number"]), split["unit"])
         units = [name for name, _ in quantity.unit_items()]
         given, wanted = _plain_to_pint(quantity), _plain_to_pint(_registry().Quantity(1.0, _pint_unit(unit)))
         if unit == "1":
