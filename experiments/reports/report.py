@@ -204,6 +204,12 @@ class Report:
         self.page.verdict = verdict or self.page.verdict
         self.page.good = self.page.good if good is None else good
 
+    def result(self, *sentences: str, good: bool | None = None) -> None:
+        """Print the result, and begin the page with it: of a command whose result comes last."""
+        for sentence in sentences:
+            self.say(sentence)
+        self.conclude(*sentences, good=good)
+
     @contextlib.contextmanager
     def result_first(self) -> Iterator[Callable[[str], None]]:
         """Yields a function for the sentence with the result; whatever else is printed within comes after it."""

@@ -58,7 +58,7 @@ def numbers(page: "Page") -> Taken:
             rows += [
                 [": ".join(one for one in (words or key, inner) if one), it, unit]
                 for inner, it in within.items()
-                if it not in ([], ())
+                if it not in ([], ()) and not _is_series(it)
             ]
         if not rows:
             continue
@@ -66,6 +66,11 @@ def numbers(page: "Page") -> Taken:
         columns = ("quantity", "value", "unit")[:with_units]
         groups.append(page_table(_title(name), columns, [row[:with_units] for row in rows]))
     return {"tables": groups} if groups else None
+
+
+def _is_series(value: object) -> bool:
+    """Lists of lists are for programs, which find them in result.json: as a row they would be wider than any screen."""
+    return isinstance(value, list | tuple) and any(isinstance(one, list | tuple | dict) for one in value)
 
 
 def figures(page: "Page") -> Taken:

@@ -146,6 +146,7 @@ def test_the_page_of_a_command_fits_each_screen_and_is_valid(browser, name, tmp_
     done = run(*(COMMANDS | OTHERS)[name], "--out", tmp_path / "out")
     assert done.exit_code in (0, 3), done.output  # 3: what was asked was answered with no
     page = tmp_path / "out" / "report.html"
+    assert "<p>Done.</p>" not in page.read_text(encoding="utf-8")  # each says what it found
     for width in WIDTHS:
         for scheme in ("light", "dark"):
             opened(browser, page, width, scheme)

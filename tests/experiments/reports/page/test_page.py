@@ -122,6 +122,7 @@ def test_numbers_within_numbers_have_a_row_each(tmp_path):
     with quiet("numbers", tmp_path) as report:
         report.keep("result", rms_um=1.5, differences={"force": 1e-12, "load": 2.0}, lost={})
         report.keep("nothing", lost={})
+        report.keep("history", search=[[[1, 0.5, 2.0], [2, 1.0, 1.0]]])  # a series is for programs
     page = assert_keeps_the_rules(tmp_path / "report.html")
     assert [one["text"] for one in page.all("td")] == [
         "RMS", "1.5", "µm", "differences: force", "1e-12", "", "differences: load", "2", "",
