@@ -81,7 +81,9 @@ def bench(report: Report, selected: tuple[str, ...] = ()) -> None:
     report.result(sentence, good=good)
     figure = bench_figure(report.data["tables"])
     if figure is not None:
-        report.figure("bench", figure)
+        report.figure(
+            "bench", figure, "Time of a step on this machine, and ratios of such times, a panel for each part."
+        )
 
 
 def in_words(measured: Mapping[str, float], selected: Sequence[str]) -> tuple[str, bool | None]:

@@ -168,15 +168,16 @@ class Report:
         notes: Sequence[str] = (),
         *,
         of: str = "",
+        infinite: str = readable.INFINITE,
     ) -> None:
         """Print a table, as wide as the terminal, with so many significant digits; below it what its rows need said.
 
-        A column's unit is in its name: `RMS um`, `share, %`. `of` is the table that is recorded with the same content:
-        the page has it once.
+        A column's unit is in its name: `RMS um`, `share, %`; `infinite` is what infinity means in it. `of` is the table
+        that is recorded with the same content: the page has it once.
         """
-        self.page.tables.append(ShownTable(caption, columns, rows, digits, notes, of))
+        self.page.tables.append(ShownTable(caption, columns, rows, digits, notes, of, infinite))
         self._print(["", *self._prose(caption)], style="bold")
-        for k, block in enumerate(readable.table(columns, rows, self.console.width, digits)):
+        for k, block in enumerate(readable.table(columns, rows, self.console.width, digits, infinite)):
             self._print([""] if k else [])
             rule = next(k for k, line in enumerate(block) if line.startswith("─"))
             self._print(block[:rule], style="dim")
@@ -193,9 +194,11 @@ class Report:
         caption: str = "",
         digits: int = readable.DIGITS,
         notes: Sequence[str] = (),
+        infinite: str = readable.INFINITE,
     ) -> None:
         """`record` a table and `show` it."""
-        self.show(caption or readable.titled(name.replace("_", " ")), columns, rows, digits, notes, of=name)
+        caption = caption or readable.titled(name.replace("_", " "))
+        self.show(caption, columns, rows, digits, notes, of=name, infinite=infinite)
         self.record(name, columns, rows)
 
     def conclude(self, *sentences: str, verdict: str = "", good: bool | None = None) -> None:

@@ -69,8 +69,9 @@ def write_simulation(report: Report, run: Run, settle: float = 0.0) -> None:
     """The files of a run: what the command writes, the report of a result, and a machine of a sweep run again."""
     if report.out is not None:
         write_run(report.out / "run.csv", run)
-        report.figure("run", run_figure(run, settle))
-        report.chart("run", run_chart(run))
+        chart = run_chart(run)
+        report.figure("run", run_figure(run, settle), chart.caption)
+        report.chart("run", chart)
 
 
 def simulate_drive(
@@ -228,6 +229,6 @@ def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:
             )
         report.table(
             "convergence", ("mm/s", "G +", "G -", "time constant + s", "time constant - s", "estimate"), rows,
-            "Gain G and time constant of eq. (20) over speed, forwards (+) and backwards (-)",
+            "Gain G and time constant of eq. (20) over speed, forwards (+) and backwards (-)", infinite="never settles",
         )  # fmt: skip
     return ok

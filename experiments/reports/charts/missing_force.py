@@ -14,16 +14,17 @@ TIME, POSITION, FORCE = "time, s", "position, mm", "missing force, N"
 BLANK = np.array([np.nan])  # between stretches: no line joins them
 
 
+GAPS = "blank where the table rests, and where nothing is held out"
 SIDES = (("forwards", 1), ("backwards", -1))
 
 
-def of_identification(found: Identification, stretches: Sequence[Log]) -> Chart:
+def of_identification(found: Identification, stretches: Sequence[Log], names: str) -> Chart:
     """Over time, the stretches one after another; and over position, by direction."""
     time, force, position, speed = _joined(found, stretches)
     sides = [Line(name, position[side * speed > 0], force[side * speed > 0], "points") for name, side in SIDES]
     over_time = Panel(TIME, FORCE, [Line("missing force", time, force)])
     where = Panel(TIME, POSITION, [Line("position", time, position)])
-    caption = "Missing force of the identified drive over time, the logs one after another, and over position."
+    caption = f"Missing force of the identified drive over time, one log after another, and over position: {names}."
     return Chart(caption, [where, over_time, Panel(POSITION, FORCE, sides)])
 
 
@@ -71,7 +72,7 @@ def of_diagnosis(found: Diagnosis, logs: Sequence[Log]) -> Chart | None:
         over_position.append(Line(name, position, force, "points"))
     if not over_time:
         return None
-    caption = f"Missing force over time and over position, {logs[log].name}."
+    caption = f"Missing force over time and over position, {logs[log].name}: {found.split.says} ({GAPS})."
     return Chart(caption, [Panel(TIME, FORCE, over_time), Panel(POSITION, FORCE, over_position)])
 
 

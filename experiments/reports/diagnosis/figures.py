@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from diffdrive.logs import Log
-from experiments.reports.charts.missing_force import of_diagnosis
+from experiments.reports.charts.missing_force import GAPS, of_diagnosis
 from experiments.reports.report import Report
 from experiments.reports.theme import BLUE, DASHES, REFERENCE, drawing, legend_below, new_figure, say
 from tuning.diagnosis.diagnose import Diagnosis
@@ -20,19 +20,27 @@ MOST_POINTS = 6000  # of a signal in a figure
 REGIONS, CAUSES = 12, 8
 BEFORE, AFTER = "0.6", BLUE
 LESS: dict[str, Any] = {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"}  # bars, told apart in grey
-BLANK = "blank where the table rests, and where nothing is held out"
 ROOM = 1.8  # times the largest value, above it, and below the least
 
 
 def save_diagnosis_figures(report: Report, found: Diagnosis, logs: Sequence[Log]) -> None:
     """Save every figure."""
-    report.figure("ladder", _ladder(found))
-    report.figure("missing_force", _missing(found, logs))
+    on = found.split.says
+    report.figure("ladder", _ladder(found), (
+        f"Gap of each model, {on}, beside the noise floor: missing force and, simulated, position and command; bars: "
+        "95 % intervals."
+    ))  # fmt: skip
+    log = logs[found.split.logs[-1]].name
+    report.figure("missing_force", _missing(found, logs), f"Missing force, {log}: {on} ({GAPS}).")
     if (chart := of_diagnosis(found, logs)) is not None:
         report.chart("missing_force", chart)
-    report.figure("where", _where(found))
+    report.figure(
+        "where",
+        _where(found),
+        ("Where the gap lies: the share of it at each place, beside the share that chance would give."),
+    )
     if found.verdict.beliefs:
-        report.figure("causes", _causes(found))
+        report.figure("causes", _causes(found), "How sure each cause of the gap is: its confidence.")
 
 
 @drawing
@@ -111,7 +119,7 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Figure:
     for axis in axes:
         axis.set_ylabel("missing force, N")
     legend_below(figure, axes[0])
-    axes[0].set_title(BLANK)
+    axes[0].set_title(GAPS)
     shares = [
         f"{one.force.rms:.3g} N RMS {label}" for one, label, _ in _first_and_last(found.comparisons) if one.force.told
     ]

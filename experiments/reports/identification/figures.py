@@ -41,6 +41,11 @@ MOST_POINTS = 20_000  # of a signal in a figure
 def save_identification_figures(report: Report, found: Identification, before: Drive, logs: Sequence[Log]) -> None:
     """Save every figure; one whose data the logs do not hold is left out, and said so."""
     stretches = gap_free_pieces(logs)
+    names = ", ".join(log.name for log in logs)
+    captions = {
+        "stribeck": f"Friction over speed, forwards and backwards: measured in {names}, of the drive file, identified.",
+        "hysteresis": f"Friction over the way since a reversal: measured in {names}, of the drive file, identified.",
+    }
     for name, make in (("stribeck", _stribeck), ("hysteresis", _hysteresis)):
         try:
             figure, notes = make(found, before, stretches)
@@ -49,11 +54,16 @@ def save_identification_figures(report: Report, found: Identification, before: D
         if figure is None:
             report.say(f"{name}.png is left out: {'; '.join(notes)}")
         else:
-            report.figure(name, figure)
-    report.figure("missing_force", _missing_force(found, stretches))
-    report.chart("missing_force", of_identification(found, stretches))
-    report.figure("parameters", forest(found.estimates))
-    report.figure("innovations", _innovations(found, stretches))
+            report.figure(name, figure, captions[name])
+    chart = of_identification(found, stretches, names)
+    report.figure("missing_force", _missing_force(found, stretches), chart.caption)
+    report.chart("missing_force", chart)
+    report.figure("parameters", forest(found.estimates), (
+        f"Each parameter identified from {names} over the drive file's value, with its 95 % interval."
+    ))  # fmt: skip
+    report.figure("innovations", _innovations(found, stretches), (
+        f"Innovations, the errors of the one-step prediction of {names}: their autocorrelation and their distribution."
+    ))  # fmt: skip
 
 
 @drawing

@@ -78,8 +78,8 @@ def figures(page: "Page") -> Taken:
     return shown_figures(page, {*page.contents.charts, *(one.name for one in page.contents.pictures)} - page.shown)
 
 
-def shown_figures(page: "Page", names: set[str], captions: Mapping[str, str] | None = None) -> Taken:
-    """The figures of these names, with other captions if need be; what a section shows is not shown again."""
+def shown_figures(page: "Page", names: set[str]) -> Taken:
+    """The figures of these names; what a section shows is not shown again."""
     found = {one.name: one for one in page.contents.pictures if one.name in names}
     items = []
     most = share(list(page.contents.charts.values()), POINTS)
@@ -91,7 +91,6 @@ def shown_figures(page: "Page", names: set[str], captions: Mapping[str, str] | N
             item["description"] = picture.description
         if chart is not None:
             item |= {"caption": chart.caption, "chart": data_block(figure(chart, most)), "legend": legend(chart)}
-        item["caption"] = (captions or {}).get(name, item["caption"])
         items.append(item)
         page.shown.add(name)
     return {"items": items} if items else None
@@ -111,7 +110,7 @@ def tables(page: "Page") -> Taken:
     shown = [
         page_table(
             one.caption, one.columns, one.rows,
-            digits=one.digits, notes=one.notes, file=_url(f"{one.of}.csv") if one.of else "",
+            digits=one.digits, infinite=one.infinite, notes=one.notes, file=_url(f"{one.of}.csv") if one.of else "",
         )
         for one in page.contents.tables
     ]  # fmt: skip

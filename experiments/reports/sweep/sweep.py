@@ -23,7 +23,7 @@ from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.replay import SIGNALS, choose_names, machine_run, repeat_costs, run_errors, sweep_machine, traces
 from tuning.sweeps.result import SweepResult, group_influences
 from tuning.sweeps.spec import FILE, read_spec
-from tuning.sweeps.summary import first_to_diverge, worst
+from tuning.sweeps.summary import ERRORS, first_to_diverge, worst
 from tuning.sweeps.workflow import PARTS, Started, sweep
 
 ALIKE = 0.01  # of RMS and peak error: what the signals of a machine by itself may be off
@@ -118,18 +118,30 @@ def save_sweep_figures(
         report.say(f"{all_groups[0].motion}: no figures, since every machine diverged.")
         return
     motion = f"_{named_file(all_groups[0].motion)}" if len(plan.motions) > 1 else ""
-    report.figure(f"distribution{motion}", figures.distribution(all_groups, tolerance, by))
+    on = f"of {plan.samples} machines, {all_groups[0].motion}"
+    report.figure(
+        f"distribution{motion}", figures.distribution(all_groups, tolerance, by),
+        f"Distribution of the {ERRORS[by]} {on}; further left is better.",
+    )  # fmt: skip
     if (chart := distribution_chart(all_groups, tolerance, by)) is not None:
         report.chart(f"distribution{motion}", chart)
-    report.figure(f"exceedance{motion}", figures.exceedance_figure(all_groups, tolerance, by))
+    report.figure(
+        f"exceedance{motion}", figures.exceedance_figure(all_groups, tolerance, by),
+        f"Share {on} that misses a tolerance on the {ERRORS[by]}, over the tolerance, with 95 % intervals.",
+    )  # fmt: skip
     for one, influences in found:
         if influences:
             controller = f"_{named_file(one.controller)}" if len(plan.controllers) > 1 else ""
-            report.figure(f"tornado{motion}{controller}", figures.tornado(influences, one, by))
+            report.figure(
+                f"tornado{motion}{controller}", figures.tornado(influences, one, by),
+                f"Mean {ERRORS[by]} where each quantity is low and where it is high (lowest and highest sixth {on}), "
+                f"{one.controller}.",
+            )  # fmt: skip
     strongest = [influences[0].name for _, influences in found if influences and influences[0].is_significant]
     for name in dict.fromkeys([*(name for name in ("load",) if name in plan.units), *strongest]):
         drawn = figures.error_against(all_groups, name, plan.units[name], tolerance, by)
-        report.figure(f"error_against_{named_file(name)}{motion}", drawn)
+        caption = f"{ERRORS[by]} {on}, over {name}."
+        report.figure(f"error_against_{named_file(name)}{motion}", drawn, f"{caption[:1].upper()}{caption[1:]}")
 
 
 def _record(report: Report, result: SweepResult, recorded: Sequence[str]) -> None:

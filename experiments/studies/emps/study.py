@@ -162,8 +162,9 @@ def _parameter(drive: Drive, name: str) -> float | None:
 
 def force_figure(report: Report, record: emps.Record, replays: Mapping[str, ClosedLoopReplay]) -> None:
     """Save the figure of the forces."""
-    report.figure("emps", emps_figure(record, replays))
-    report.chart("emps", emps_chart(record, replays))
+    chart = emps_chart(record, replays)
+    report.figure("emps", emps_figure(record, replays), chart.caption)
+    report.chart("emps", chart)
 
 
 def emps_chart(record: emps.Record, replays: Mapping[str, ClosedLoopReplay]) -> Chart:
@@ -172,7 +173,8 @@ def emps_chart(record: emps.Record, replays: Mapping[str, ClosedLoopReplay]) -> 
     forces += [Line(name, one.time, one.command) for name, one in replays.items()]
     differences = [Line(name, one.time, one.command_error) for name, one in replays.items()]
     panels = [Panel("time, s", "force, N", forces), Panel("time, s", "difference, N", differences)]
-    return Chart("Force command over time, logged and simulated in closed loop, and their differences.", panels)
+    caption = "Force command of EMPS over time, logged and simulated in closed loop, and their differences: {}."
+    return Chart(caption.format(record.log.name), panels)
 
 
 @drawing
@@ -284,7 +286,9 @@ def _friction_figure(report: Report, drives: Mapping[str, Drive], log: Log) -> N
     """The force that a constant velocity takes: friction less the constant force, which can hardly be told apart."""
     measured = stribeck_curves(log, drives[IDENTIFIED])
     constant_force = float(drives[IDENTIFIED].plant.constant_force)
-    report.figure("emps_friction", emps_friction_figure(measured, drives, constant_force))
+    report.figure("emps_friction", emps_friction_figure(measured, drives, constant_force), (
+        f"Force that a constant velocity takes, less the constant force: measured in {log.name}, and of each drive."
+    ))  # fmt: skip
 
 
 @drawing

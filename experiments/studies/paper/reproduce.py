@@ -49,6 +49,15 @@ ASSUMPTIONS = (
     "period that no model knows; errors at constant speed. Plausible, not identified: the paper gives none of these.",
 )
 
+CAPTIONS = {
+    "figure_4": "Figure 4: Coulomb friction of screw and guide over the load, from the paper's parameters.",
+    "figure_5": "Figure 5: Stribeck and hysteresis curves of the guide under load, from the paper's parameters.",
+    "figure_7": "Figure 7: position, load and tracking errors of all controllers, simulated.",
+    "figure_8": "Figure 8: Stribeck and hysteresis curves of the drive without load, from the paper's parameters.",
+    "figure_9": "Figure 9: friction, as the observer estimates it, and tracking errors without load, simulated.",
+    "figure_10": "Figure 10: friction, its estimation error, tracking error and load under both loads, simulated.",
+}
+
 
 def static_checks(drive: Drive) -> list[tuple[str, float, float]]:
     """Exact figures: name, ours, the closed form of the notes."""
@@ -282,16 +291,15 @@ def _figures(
     guide = replace(friction, coulomb_screw=nothing)
     speeds = np.concatenate([-np.geomspace(0.05, 1e-5, 200), np.geomspace(1e-5, 0.05, 200)])
     curve = jax.jit(jax.vmap(lambda v, w, f: steady_friction(f, v, w), in_axes=(0, None, None)))
-    report.figure("figure_4", figure_4(np.array(_figure_4_rows(friction))))
+    report.figure("figure_4", figure_4(np.array(_figure_4_rows(friction))), CAPTIONS["figure_4"])
     stribeck = {w: np.asarray(curve(jnp.asarray(speeds), w, guide)) for w in LOADS}
     loops = {w: hysteresis(guide, w) for w in LOADS}
-    report.figure("figure_5", figure_5(speeds, stribeck, loops))
-    report.figure("figure_7", figure_7(scenario, runs))
-    report.figure(
-        "figure_8", figure_8(speeds, np.asarray(curve(jnp.asarray(speeds), 0.0, friction)), hysteresis(friction, 0.0))
-    )
-    report.figure("figure_9", figure_9(unloaded))
-    report.figure("figure_10", figure_10(loaded))
+    report.figure("figure_5", figure_5(speeds, stribeck, loops), CAPTIONS["figure_5"])
+    report.figure("figure_7", figure_7(scenario, runs), CAPTIONS["figure_7"])
+    steady = np.asarray(curve(jnp.asarray(speeds), 0.0, friction))
+    report.figure("figure_8", figure_8(speeds, steady, hysteresis(friction, 0.0)), CAPTIONS["figure_8"])
+    report.figure("figure_9", figure_9(unloaded), CAPTIONS["figure_9"])
+    report.figure("figure_10", figure_10(loaded), CAPTIONS["figure_10"])
     report.chart("figure_7_signals", errors_chart("Figure 7: tracking errors and load over time.", runs))
     report.chart("figure_9_signals", errors_chart("Figure 9: tracking errors over time, without load.", unloaded))
     for kilonewtons, runs_under in loaded.items():

@@ -231,7 +231,7 @@ def test_a_result_in_python_has_the_page_that_the_command_writes(tmp_path):
     lap = dd.motion.triangular(speed=0.010, stroke=0.001, rounding=0.05, duration=0.2, rate=axis.rate)
     experiments.report(dd.simulate(axis, lap), tmp_path)
     page = assert_keeps_the_rules(tmp_path / "report.html")
-    assert "Signals of the run over time" in page.readable()
+    assert "Signals of the simulated run over time" in page.readable()
     [drawn] = [json.loads(one["text"]) for one in page.all("script") if "type" in one["attributes"]]
     assert {trace["name"] for trace in drawn["data"]} >= {"reference", "position", "command", "load"}
     assert "Command" not in [one["text"] for one in page.all("dt")]
