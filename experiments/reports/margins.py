@@ -65,8 +65,11 @@ def report_comparison(report: Report, comparison: FrequencyComparison, title: st
     if peaks:
         report.table("resonances", ("loop", "Hz", "damping", "|L|"), peaks, "Peaks of |L| above the crossover")
     report.keep("comparison", of=comparison.measured.of, largest_departure=departure, largest_departure_Hz=at)
-    share = "it may be stable where the other is not" if departure >= 1.0 else "either is stable if the other is"
-    report.say(f"The loops part most at {at:.4g} Hz, by {departure:.2g} of the model's distance to -1: {share}.")
+    share = "one may be stable where the other is not" if departure >= 1.0 else "either is stable if the other is"
+    report.say(
+        f"The loops differ most at {at:.4g} Hz, by {departure:.2g} times the model's distance to -1; by such a "
+        f"difference alone {share}."
+    )
     report.record("frequency_response", (
         "Hz", "measured dB", "measured deg", "model dB", "model deg", "share of the distance to -1",
     ), [list(row) for row in zip(

@@ -108,7 +108,9 @@ def verdict(tuned: GainSearch, runs: Sequence[ScenarioComparison]) -> str:
     if is_accepted(tuned, runs):
         return f"Accepted: {held_out}; every requirement is kept."
     failed = [one.scenario.name for one in runs if not one.after.run.status.ok]
-    reasons = [f"{name} is missed by {100.0 * share:.3g} %" for name, share in tuned.violated.items()]
+    reasons = [
+        f"{name} is missed by {readable.significant(100.0 * share, 3)} %" for name, share in tuned.violated.items()
+    ]
     reasons += [f"simulation failed: {', '.join(failed)}"] if failed else []
     reasons += [] if reasons else [f"the search was {tuned.status}"]
     return f"NOT ACCEPTED, and no tuned.toml written: {'; '.join(reasons)}; {held_out}."
@@ -136,7 +138,7 @@ def gains_table(report: Report, tuned: GainSearch) -> None:
     report.show(
         "Gains; changed by the last factor, alone, one costs 5 % of the objective",
         ("gain", "unit", "given", "tuned", "ratio", "factor"),
-        [[name, unit.replace("*", " "), *row] for unit, (name, *row) in zip(tuned.units, rows, strict=True)],
+        [[name, readable.unit_of(unit), *row] for unit, (name, *row) in zip(tuned.units, rows, strict=True)],
         of="gains",
     )
     report.print(
@@ -184,7 +186,7 @@ def loop_figures(report: Report, description: Axis, tuned: Controller, plan: Tun
             for name, controller in (("given", description.controller), ("tuned", tuned))
         }
     report.figure("nyquist", nyquist(panels, limits), (
-        "Nyquist plot of the open loop L near -1, gains given and tuned, at each speed and load; grey: what the "
+        "Nyquist plot of the open loop L near -1, gains given and tuned, at each speed and load; shaded: what the "
         "required margins exclude."
     ))  # fmt: skip
     chart = bode_chart(panels)

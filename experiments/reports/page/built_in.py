@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 POINTS = 150_000  # of all charts together: at most 16 bytes each, 3.2 MB as they stand on a page
 PICTURES = 2_500_000  # bytes of all pictures together, 3.3 MB on a page; with charts and plotly.js less than 8 MB
 NOT_NUMBERS = ("title", "made_by", "tables", "figures", "notes", "timings_s", "seconds", "stopped_by", "says")
+FILES = ("file", "files")  # which have a section of their own
 KINDS = {
     ".json": "for programs", ".csv": "table", ".png": "picture", ".svg": "picture", ".toml": "drive file or settings",
     ".parquet": "table", ".nc": "signals", ".md": "text", ".st": "code", ".c": "code", ".h": "code", ".hal": "code",
@@ -58,9 +59,9 @@ def numbers(page: "Page") -> Taken:
             rows += [
                 [": ".join(one for one in (words or key, inner) if one), it, unit]
                 for inner, it in within.items()
-                if it not in ([], ()) and not _is_series(it)
+                if it not in ([], ()) and key not in FILES and not _is_series(it)
             ]
-        if not rows:
+        if all(isinstance(it, str) or it is None for _, it, _ in rows):  # which sentences say better
             continue
         with_units = 3 if any(unit for *_, unit in rows) else 2
         columns = ("quantity", "value", "unit")[:with_units]

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from experiments.reports.readable import DIGITS, INFINITE, Column, heading, shown
 
 MOST_ROWS = 60  # of a table on a page: what goes beyond two screens is read as CSV
-
-
-SENTENCE = 32  # characters, from which on a cell takes several lines
+PHRASE, SENTENCE = 16, 32  # characters, from which on a cell may take two lines, or several
 
 
 @dataclass(frozen=True)
@@ -19,6 +17,7 @@ class PageTable:
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
     words: Sequence[int]  # columns of text, from 1, which are read from the left
+    phrases: Sequence[int] = ()  # columns that may break, but not after each word
     wide: Sequence[int] = ()  # columns of sentences, which would be a word wide on a phone
     notes: Sequence[str] = ()
     file: str = ""
@@ -42,6 +41,8 @@ def page_table(
     named = [heading(name) for name in columns]
     drawn = [Column(*name, [row[k] for row in cells], infinite) for k, name in enumerate(named)]
     words = [k + 1 for k, column in enumerate(drawn) if not column.numeric]
-    wide = [k + 1 for k in range(len(named)) if any(len(row[k]) > SENTENCE for row in cells)]
+    phrases, wide = (
+        [k for k in words if any(len(row[k - 1]) > length for row in cells)] for length in (PHRASE, SENTENCE)
+    )
     headings = [",\N{NO-BREAK SPACE}".join(part for part in one if part) for one in named]  # no unit alone in a line
-    return PageTable(caption, headings, cells, words or [1], wide, notes, file, len(rows) - len(kept))
+    return PageTable(caption, headings, cells, words or [1], phrases, wide, notes, file, len(rows) - len(kept))

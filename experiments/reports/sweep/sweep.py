@@ -13,6 +13,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.motion.text import require_choice
 from diffdrive.support.atomic_write import atomic_write
 from experiments.reports.charts.distribution import distribution_chart
+from experiments.reports.readable import significant, unit_of
 from experiments.reports.report import RESULT, Report, named_file
 from experiments.reports.simulation import write_simulation
 from experiments.reports.sweep import figures
@@ -198,7 +199,7 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
         report.table(
             "machine",
             ("quantity", "unit", "value"),
-            [[name, plan.units[name], value] for name, value in machine.values.items()],
+            [[name, unit_of(plan.units[name]), value] for name, value in machine.values.items()],
             "What differs from the drive file",
         )
         with report.working("simulating"):
@@ -207,7 +208,13 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             repeated_rms, repeated_peak = np.asarray(costs.rms)[0], np.asarray(costs.peak)[0]
         rms, peak = run_errors(plan, simulated)
         report.values("run", status=simulated.status.message)
-        report.values("costs", rms_um=1e6 * float(repeated_rms), peak_um=1e6 * float(repeated_peak))
+        report.keep("costs", rms_um=1e6 * float(repeated_rms), peak_um=1e6 * float(repeated_peak))
+        is_ok = simulated.status.ok and bool(np.isnan(diverged_at[0]))
+        errors = " and ".join(
+            f"{name} {significant(1e6 * float(value))} um"
+            for name, value in ((ERRORS["rms"], repeated_rms), (ERRORS["peak"], repeated_peak))
+        )
+        report.result(f"Machine {number} of {folder.name}, {controller} on {motion}: {errors}.", good=is_ok)
         if not np.allclose([rms, peak], [repeated_rms, repeated_peak], rtol=ALIKE, atol=0.0, equal_nan=True):
             report.say(f"{_why_different(plan)}: RMS error {1e6 * rms:.4g} um, peak error {1e6 * peak:.4g} um.")
         stored = stored_errors(plan, folder / PARTS, number, controller, motion)
@@ -217,7 +224,7 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             repeated = [float(repeated_rms), float(repeated_peak), float(diverged_at[0])]
             alike = bool(np.array_equal(stored, repeated, equal_nan=True))
             report.keep("as_in_the_sweep", to_the_last_bit=alike)
-            report.print(
+            report.say(
                 "The errors are those of the sweep, to the last bit."
                 if alike
                 else "The errors are NOT those of the sweep: another processor, or another version of what it uses?"
@@ -227,4 +234,4 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             # the gains are the axis's; observers and feed-forwards in a file take the file's own model
             tables = axis_tables(plan.axis_of(machine.drive))
             write_axis(report.out / "machine.toml", parse_axis(tables, f"machine {number}"))
-    return simulated.status.ok and bool(np.isnan(diverged_at[0]))
+    return is_ok

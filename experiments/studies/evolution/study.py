@@ -341,7 +341,10 @@ def evolution_figure(histories: dict[str, list[list[HistoryEntry]]], best: float
         plain_logarithmic(axis.yaxis)
     legend_below(figure)
     ends = {name: 100.0 * (min(history[-1][2] for history in runs) / best - 1.0) for name, runs in histories.items()}
-    say(figure, "Best end above the best cost: " + ", ".join(f"{end:.3g} % {name}" for name, end in ends.items()))
+    say(
+        figure,
+        "Best end above the best cost: " + ", ".join(f"{significant(end, 3)} % {name}" for name, end in ends.items()),
+    )
     return figure
 
 
