@@ -9,7 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from diffdrive.logs import Log
-from experiments.reports.charts.missing_force import GAPS, of_diagnosis
+from experiments.reports.charts.missing_force import GAPS, of_diagnosis, of_log, over_the_time
+from experiments.reports.page.chart import Line, thinned
+from experiments.reports.page.plotly import FEW
 from experiments.reports.report import Report
 from experiments.reports.theme import BLUE, DASHES, REFERENCE, drawing, legend_below, new_figure, say
 from tuning.diagnosis.diagnose import Diagnosis
@@ -99,19 +101,16 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Figure:
     log = found.split.logs[-1]
     repeats = _period(found, log)
     figure, axes = new_figure(2 if repeats is None else 3, 1, height=2.2, share_x=False)
-    lanes = [lane for lane, owner in enumerate(found.logged.owner) if owner == log]
-    rate, starts = found.logged.sampling.rate, np.asarray(found.logged.starts)
     for comparison, label, color in (one for one in _first_and_last(found.comparisons) if one[0].force.told):
-        for lane in lanes:
-            counts = comparison.force.counts[lane] > 0
-            every = max(1, counts.size // MOST_POINTS)
-            force = np.where(counts, comparison.force.force[lane], np.nan)[::every]
-            position = 1e3 * np.asarray(comparison.force.trajectory.position[lane])[::every]
-            time = starts[lane] + np.arange(counts.size)[::every] / rate
-            axes[0].plot(time, force, color=color, linewidth=0.8, label=label if lane == lanes[0] else None)
-            axes[1].plot(position, force, ".", color=color, markersize=1.5)
-            if repeats is not None:
-                axes[2].plot(np.mod(position, repeats[0]), force, ".", color=color, markersize=1.5)
+        time, position, force = of_log(found, comparison, log)
+        line = Line(label, *over_the_time(time, force))
+        axes[0].plot(*thinned(line, MOST_POINTS), color=color, linewidth=0.8, label=label)
+        known = np.flatnonzero(np.isfinite(force))
+        some = known[:: max(1, known.size // MOST_POINTS)]
+        size = 4.0 if some.size < FEW else 1.5
+        axes[1].plot(position[some], force[some], ".", color=color, markersize=size)
+        if repeats is not None:
+            axes[2].plot(np.mod(position[some], repeats[0]), force[some], ".", color=color, markersize=size)
     axes[0].set_xlabel("time, s")
     axes[1].set_xlabel("position, mm")
     if repeats is not None:

@@ -12,6 +12,7 @@ from diffdrive.logs import Log
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Drive
 from experiments.reports.charts.missing_force import of_identification
+from experiments.reports.charts.stretches import as_lines
 from experiments.reports.identification.forest import forest
 from experiments.reports.report import Report
 from experiments.reports.theme import (
@@ -162,6 +163,7 @@ def _missing_force(found: Identification, stretches: Sequence[Log]) -> Figure:
     figure, axes = new_figure(3, 1, height=2.0, share_x=False)
     axes[1].sharex(axes[0])
     begin, largest, squares = 0.0, 0.0, []
+    span = sum(len(one.time) / one.rate for one in stretches)
     named: set[str] = set()
     for k, (one, missing, velocity) in enumerate(zip(stretches, found.missing_force, found.velocity, strict=True)):
         force, speed = missing[: len(one.time)], velocity[: len(one.time)]
@@ -172,7 +174,7 @@ def _missing_force(found: Identification, stretches: Sequence[Log]) -> Figure:
         time = begin + one.time - one.time[0]
         begin = time[-1] + 1.0 / one.rate
         axes[0].plot(time[::step], 1e3 * one.position[::step], color=BLACK, lw=0.8)
-        axes[1].plot(time[::step], force[::step], color=BLACK, lw=0.6)
+        axes[1].plot(*as_lines(time, force, span), color=BLACK, lw=0.6)
         for side, shade, mark, name in ((1, BLUE, "o", "forwards"), (-1, ORANGE, "s", "backwards")):
             at = side * speed > 0
             if at.any():
