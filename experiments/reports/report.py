@@ -68,7 +68,7 @@ class Report:
     """Collects what a command finds, prints it as it comes, and writes it to the folder `out`, if there is one.
 
     A command that is stopped before its first number, table or figure leaves the folder as it was: what an earlier one
-    wrote there stays whole.
+    wrote there stays as it is.
     """
 
     def __init__(self, title: str, out: Path | None, console: Console | None = None) -> None:
@@ -231,7 +231,7 @@ class Report:
                 self._print(lines, style)
 
     def _prose(self, text: str) -> list[str]:
-        """Lines that break between words at the terminal's width; whole where there is no terminal."""
+        """Lines that break between words at the terminal's width; unbroken where there is no terminal."""
         lines = [readable.readable(printable(line)) for line in text.split("\n")]
         return [part for line in lines for part in readable.wrapped(line, self.width or len(line) + 1)]
 

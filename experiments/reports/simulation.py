@@ -132,7 +132,7 @@ MAGNIFIED = 10  # times, the detail of a run: a reversal of some tenths of a sec
 
 @drawing
 def run_figure(run: Run, settle: float = 0.0) -> "Figure":
-    """Position, tracking error, forces and load: over the whole run, and magnified where the error is largest."""
+    """Position, tracking error, forces and load: over the run, and magnified where the error is largest."""
     figure, axes = new_figure(4, 2, height=1.55, share_y="row", width_ratios=(5, 3))
     counted = np.flatnonzero(np.isfinite(run.error) & (run.time >= settle))
     start, end = float(run.time[0]), float(run.time[-1])
@@ -163,7 +163,7 @@ def run_figure(run: Run, settle: float = 0.0) -> "Figure":
             axis.axvspan(start, settle, color=PALE, lw=0.0)
     for axis, label in zip(axes[:, 0], ("reference, mm", "tracking error, µm", "force, N", "load, kN"), strict=True):
         axis.set_ylabel(label)
-    axes[0, 0].set_title("the whole run")
+    axes[0, 0].set_title("all of the run")
     axes[0, 1].set_title(f"the {2.0 * half:.3g} s around the largest error")
     legend_below(figure)
     figure.align_ylabels(axes[:, 0])

@@ -17,10 +17,11 @@ def as_lines(
     known = np.isfinite(values)
     t, v, pixel = time[known], values[known], span / PIXELS
     breaks = np.flatnonzero(np.diff(t) > SEEN * pixel) + 1
-    times, lines = [], []
+    blank = np.array([np.nan])
+    times, lines = list[np.ndarray](), list[np.ndarray]()
     for some, own in zip(np.split(t, breaks), np.split(v, breaks), strict=True):
         if some.size and some[-1] - some[0] < pixel:
             some, own = np.append(some, some[0] + pixel), np.append(own, own[-1])
-        times += [some, [np.nan]]
-        lines += [own, [np.nan]]
+        times += [some, blank]
+        lines += [own, blank]
     return np.concatenate(times), np.concatenate(lines)

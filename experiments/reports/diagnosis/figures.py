@@ -21,7 +21,11 @@ from tuning.diagnosis.judgement.ladder import ModelComparison
 MOST_POINTS = 6000  # of a signal in a figure
 REGIONS, CAUSES = 12, 8
 BEFORE, AFTER = "0.6", BLUE
-LESS: dict[str, Any] = {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"}  # bars, told apart in grey
+LESS: dict[str, Any] = {
+    "facecolor": BEFORE,
+    "hatch": "////",
+    "edgecolor": "white",
+}  # bars that differ in grey print, too
 ROOM = 1.8  # times the largest value, above it, and below the least
 
 
@@ -66,11 +70,11 @@ def _ladder(found: Diagnosis) -> Figure:
         )
         axis.set_xlim(-0.5, len(rms) - 0.5)
     legend_below(figure, axes[0])
-    told = [
+    known = [
         (comparison.name, value) for comparison, value in zip(found.comparisons, rms, strict=True) if np.isfinite(value)
     ]
-    gap = "no model's filter could tell it" if not told else f"{told[0][1]:.3g} N RMS {told[0][0]}"
-    gap += "" if len(told) < 2 else f", {told[-1][1]:.3g} N {told[-1][0]}"
+    gap = "no model's filter determines it" if not known else f"{known[0][1]:.3g} N RMS {known[0][0]}"
+    gap += "" if len(known) < 2 else f", {known[-1][1]:.3g} N {known[-1][0]}"
     floor = "" if found.floor is None else f" (noise floor {found.floor:.3g} N)"
     say(figure, f"The missing force, {found.split.says}: {gap}{floor}")
     return figure

@@ -209,14 +209,12 @@ def reproduce(out: Path | None) -> Report:
         for number, assumption in enumerate(ASSUMPTIONS, 1):
             report.say(f"Assumption {number}. {assumption}")
         exact, quantised = paper_drive(quantised=False), paper_drive()
-        rows = [
-            [name, computed, expected, computed / expected - 1] for name, computed, expected in static_checks(exact)
-        ]
-        columns = ("quantity", "ours", "closed form", "difference")
-        report.record("static", columns, rows)
+        static = [(*row, row[1] / row[2] - 1.0) for row in static_checks(exact)]
+        columns: tuple[str, ...] = ("quantity", "ours", "closed form", "difference")
+        report.record("static", columns, static)
         report.show(
             "Gains and static errors; the difference is relative, and rounded as the closed form is",
-            columns, [[*row, round(difference, STATIC_DECIMALS)] for *row, difference in rows], of="static",
+            columns, [[*row, round(difference, STATIC_DECIMALS)] for *row, difference in static], of="static",
         )  # fmt: skip
         with report.working(
             "simulating the canonical scenario, six controllers, with and without the scale's resolution"
