@@ -20,11 +20,11 @@ from diffdrive.model.parameters import Drive, Sensor
 from diffdrive.model.quantity import Directional, quantities
 from diffdrive.motion.builders import staircase
 from diffdrive.numerics.arrays import as_arrays
-from experiments.reports.page.chart import Chart, Line, Panel
 from experiments.reports.readable import significant, unit_of
 from experiments.reports.report import Report
 from experiments.reports.theme import drawing, legend_below, new_figure, plain_logarithmic, say, style
 from experiments.studies.emps import axis as emps
+from experiments.studies.evolution.chart import evolution_chart, excess
 from experiments.studies.evolution.two_stage import two_stage
 from tuning.identification.identify import COARSE_EVERY, COARSE_STEPS, start_points
 from tuning.identification.problem import COARSE_SUBSTEP, Innovations, sampling_of
@@ -47,7 +47,6 @@ MAX_STEPS = 30  # of its last search
 TOLERANCE = 1e-6
 MAX_RATIO = 20  # most simulations of evolution over those of the gradient search
 SPEEDS = (2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)  # m/s, of the synthetic log
-MIN_EXCESS = 1e-6  # so that the best can be drawn on a logarithmic axis
 LEVELS = (0.1, 0.01, 0.001)  # of the gradient search's cost, above it
 
 
@@ -304,24 +303,6 @@ def _report_searches(report: Report, descents: list[Descent], evolutions: list[E
     return levels
 
 
-def evolution_chart(histories: dict[str, list[list[HistoryEntry]]], best: float, caption: str) -> Chart:
-    """The same to zoom into, a line for each run."""
-    panels = [
-        Panel(label, "cost above the best, %", [
-            Line(f"{name} {k + 1}", np.array([entry[column] for entry in history]), _excess(history, best))
-            for name, runs in histories.items()
-            for k, history in enumerate(runs)
-        ], log_x=True, log_y=True)
-        for label, column in (("simulations (count)", 0), ("time, s", 1))
-    ]  # fmt: skip
-    return Chart(caption, panels)
-
-
-def _excess(history: list[HistoryEntry], best: float) -> np.ndarray:
-    """How far the costs of a search are above the best, in per cent."""
-    return 100.0 * (np.array([entry[2] for entry in history]) / best - 1.0 + MIN_EXCESS)
-
-
 @drawing
 def evolution_figure(histories: dict[str, list[list[HistoryEntry]]], best: float) -> Figure:
     """How far each search is above the best cost, over simulations and over time."""
@@ -329,7 +310,7 @@ def evolution_figure(histories: dict[str, list[list[HistoryEntry]]], best: float
     for number, (name, runs) in enumerate(histories.items()):
         for k, history in enumerate(runs):
             simulations, seconds, _ = np.array(history).T
-            above = _excess(history, best)
+            above = excess(history, best)
             axes[0].loglog(simulations, above, label=None if k else name, **style(number))
             axes[1].loglog(seconds, above, **style(number))
     axes[0].set(
