@@ -1,7 +1,7 @@
 """`diffdrive bench`: how fast the tool is on this machine, each figure beside what it is compared with."""
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 
 import jax
 
@@ -17,6 +17,7 @@ from experiments.benchmarks.common import RATE, TUNER_SUBSTEPS, nominal, ns_per_
 from experiments.benchmarks.derivatives import gradients, reverse, tuner
 from experiments.benchmarks.figures import bench_figure
 from experiments.benchmarks.hand_written import COARSE_SUBSTEPS, lanes_of_one_core, one_lane, swept_lanes
+from experiments.reports.readable import significant
 from experiments.reports.report import Report
 from experiments.studies.paper import scenario as paper
 from experiments.studies.recovery.random_drive import SPREAD
@@ -74,10 +75,29 @@ def bench(report: Report, selected: tuple[str, ...] = ()) -> None:
             measured |= part(report)
     rows = [[name, measured.get(name), *BARS[name], _verdict(name, measured.get(name))] for name in BARS]
     rows = [row for row in rows if row[1] is not None or not selected]
-    report.table("bars", ("figure", "here", "", "bar", "reached"), rows, "Against what it should be")
+    if rows:
+        report.table("bars", ("figure", "here", "", "bar", "reached"), rows, "Against what it should be")
+    sentence, good = in_words(measured, selected)
+    report.result(sentence, good=good)
     figure = bench_figure(report.data["tables"])
     if figure is not None:
-        report.figure("bench", figure)
+        report.figure(
+            "bench", figure, "Time of a step on this machine, and ratios of such times, a panel for each part."
+        )
+
+
+def in_words(measured: Mapping[str, float], selected: Sequence[str]) -> tuple[str, bool | None]:
+    """How many of the measured figures reach their bar and which do not; whether all do, None where none has one."""
+    judged = [name for name in BARS if name in measured]
+    if not judged:
+        return f"Measured: {', '.join(selected)}, of which no figure has a bar to reach.", None
+    missed = [
+        f"{name}: {significant(measured[name])}, should be {' '.join(map(str, BARS[name]))}"
+        for name in judged
+        if _verdict(name, measured[name]) != "yes"
+    ]
+    reached = f"{len(judged) - len(missed)} of {len(judged)} figures reach their bar"
+    return f"{reached}{'; not ' if missed else ''}{'; '.join(missed)}.", not missed
 
 
 def _verdict(name: str, value: float | None) -> str:

@@ -24,7 +24,10 @@ def template(
     """
     from experiments.cli.template import template as text_of
 
-    text(lambda: text_of(controller), out, "drive.toml")
+    text(
+        lambda: text_of(controller), out, "drive.toml",
+        f"a complete drive file, the paper's testbed under the controller {controller}, to edit for an axis of yours",
+    )  # fmt: skip
 
 
 @reference.command()
@@ -44,15 +47,20 @@ def axes(
     from diffdrive.library.listing import library_axis, markdown
 
     if name is None:
-        text(markdown, out, "axes.md")
+        text(markdown, out, "axes.md", "a table of the axes of the library")
     else:
-        text(library_axis(name).text, out, f"{name}.toml")
+        text(library_axis(name).text, out, f"{name}.toml", f"the drive file of {name}, an axis of the library")
 
 
 @reference.command()
 def keys(out: Out = None) -> None:
     """Print every key that a drive file may hold, with unit, range, default and meaning (a Markdown table)."""
-    text(lambda: cached(_keys, "keys.md"), out, "keys.md")
+    text(
+        lambda: cached(_keys, "keys.md"),
+        out,
+        "keys.md",
+        "every key of a drive file, with its unit, range, default and meaning",
+    )
 
 
 def _keys() -> str:
@@ -64,7 +72,12 @@ def _keys() -> str:
 @reference.command()
 def motions(out: Out = None) -> None:
     """Print every motion and every shape of load, with settings, units and defaults (two Markdown tables)."""
-    text(lambda: cached(_motions, "motions.md"), out, "motions.md")
+    text(
+        lambda: cached(_motions, "motions.md"),
+        out,
+        "motions.md",
+        "every motion and shape of load, with settings, units and defaults",
+    )
 
 
 def _motions() -> str:

@@ -11,8 +11,8 @@ import diffdrive
 CATALOGUES = ("diffdrive.effects.catalogue", "diffdrive.controllers.catalogue")
 
 
-def text(make: Callable[[], str], out: Path | None, name: str) -> None:
-    """Print a text; with a folder, write it there as `name` instead, beside a result.json that says so."""
+def text(make: Callable[[], str], out: Path | None, name: str, what: str) -> None:
+    """Print a text; with a folder, write it there as `name` instead, beside a report that says `what` it is."""
     if out is None:
         sys.stdout.write(make())
         return
@@ -21,7 +21,8 @@ def text(make: Callable[[], str], out: Path | None, name: str) -> None:
 
     with Report(name, out) as report:
         write_text(out / name, make())
-        report.values("written", file=name)
+        report.keep("written", file=name)
+        report.result(f"{name} has been written: {what}.")
 
 
 def cached(make: Callable[[], str], name: str) -> str:

@@ -28,6 +28,7 @@ from tuning.comparison.result import ComparisonResult
 from tuning.comparison.workflow import compare_checked, require_level
 from tuning.identification.modelled_friction import gap_free_pieces
 from tuning.identification.parameters import FIXABLE, parameter_called
+from tuning.identification.workflow import IdentificationResult
 from tuning.store.folder import FolderStore
 
 if TYPE_CHECKING:
@@ -116,10 +117,17 @@ def report_comparison_of_logs(report: Report, result: ComparisonResult) -> None:
         return
     if name := write_axis_file(report, result.axis, "identified.toml"):
         report.keep("written", file=name)
-    report.figure("changes", changes_figure(result.changes))
     sides = {"before": result.before, "after": result.after}
+    logs = " against ".join(_names(sides[name]) for name in ("after", "before"))
+    report.figure("changes", changes_figure(result.changes), (
+        f"Each change over the smallest that would have been found, with its 95 % interval: {logs}."
+    ))  # fmt: skip
     fits = {name: (one.fit, gap_free_pieces(one.logs.logs)) for name, one in sides.items()}
     report.chart("missing_force", of_comparison(fits))
+
+
+def _names(side: IdentificationResult) -> str:
+    return ", ".join(log.name for log in side.logs.logs)
 
 
 def _row(one: Change) -> list[object]:

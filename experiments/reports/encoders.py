@@ -48,8 +48,9 @@ def report_encoders(report: Report, comparisons: Sequence[EncoderComparison]) ->
         report.record("encoder_places", names, places)
     for one in comparisons:
         name = "encoders" if len(comparisons) == 1 else f"encoders_{named_file(one.log)}"
-        report.figure(name, encoders_figure(one))
-        report.chart(name, encoders_chart(one))
+        chart = encoders_chart(one)
+        report.figure(name, encoders_figure(one), chart.caption)
+        report.chart(name, chart)
 
 
 @drawing

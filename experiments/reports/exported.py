@@ -8,6 +8,7 @@ from diffdrive.support.rates import require_same_rate
 from experiments.exports.names import name_of
 from experiments.exports.result import ExportResult
 from experiments.exports.workflow import export
+from experiments.reports import readable
 from experiments.reports.report import Report
 
 
@@ -46,10 +47,11 @@ def export_drive(
 def report_export(report: Report, result: ExportResult) -> None:
     """What was written, how far it agrees, and what to do with it."""
     report.keep("result", **result.as_dict())
-    report.print(result.headline(), style="bold")
+    headline = f"{readable.titled(result.headline())}."
+    report.print(headline, style="bold")
     # what was compiled nowhere here is neither proved nor wrong
     good = result.status.ok if result.differences or not result.status.ok else None
-    report.conclude(result.headline(), good=good)
+    report.conclude(headline, good=good)
     if result.differences or result.lost:
         outputs = result.differences or result.lost
         columns = ["output"]
@@ -61,4 +63,4 @@ def report_export(report: Report, result: ExportResult) -> None:
         report.say(note)
     report.print(f"fingerprint: {result.fingerprint}")
     report.print(f"files: {', '.join(result.files)}")
-    report.print(f"next, in {result.folder}: {result.next_command}")
+    report.say(f"Next, in {result.folder}: {result.next_command}")

@@ -132,8 +132,8 @@ def bode(loops: Loops, limits: LoopLimits = LoopLimits()) -> "Figure":
     legend_below(figure, gain, columns=len(loops), title=_loads(loops))
     figure.align_ylabels()
     margins = {name: min(_phase_margin(one) for one in many.values()) for name, many in loops.items()}
-    asked = "" if limits.phase is None else f", {np.degrees(limits.phase):.3g} deg required"
-    say(figure, f"Phase margin {_each(margins, ' deg')}{asked}: least of {_points(loops)}")
+    required = "" if limits.phase is None else f", {np.degrees(limits.phase):.3g} deg required"
+    say(figure, f"Phase margin {_each(margins, ' deg')}{required}: least of {_points(loops)}")
     return figure
 
 

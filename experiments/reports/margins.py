@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 COLUMNS = ("loop", "gain up dB", "gain down dB", "phase deg", "peak sensitivity", "crossover Hz", "stable")
 
+NO_LIMIT = "no limit"  # a loop that no change of its gain or phase that way makes unstable
+
 
 def report_margins(
     report: Report, axis: Axis, measured: FrequencyResponse | None, *, velocity: float, load: float
@@ -38,7 +40,7 @@ def report_margins(
         with report.working("linearising the loop"):
             margins = linearise(axis, velocity=velocity, load=load).margins()
         report.conclude(_in_words("The model's loop", margins), good=bool(margins.stable))
-        report.table("margins", COLUMNS, [_row("model", margins)], _title(velocity, load))
+        report.table("margins", COLUMNS, [_row("model", margins)], _title(velocity, load), infinite=NO_LIMIT)
         return bool(margins.stable)
     with report.working("linearising the loop"):
         comparison = compare_frequency_response(axis, measured, velocity=velocity, load=load)
@@ -54,7 +56,7 @@ def report_comparison(report: Report, comparison: FrequencyComparison, title: st
     both = (("The loop with what was measured", comparison.margins), ("The model's loop", comparison.model_margins))
     report.conclude(*(_in_words(*one) for one in both), good=all(bool(one.stable) for _, one in both))
     rows = [_row("measured", comparison.margins), _row("model", comparison.model_margins)]
-    report.table("margins", COLUMNS, rows, title, notes=list(comparison.notes))
+    report.table("margins", COLUMNS, rows, title, notes=list(comparison.notes), infinite=NO_LIMIT)
     peaks = [
         [name, one.frequency, one.damping, one.gain]
         for name, found in (("measured", comparison.resonances), ("model", comparison.model_resonances))
@@ -63,16 +65,20 @@ def report_comparison(report: Report, comparison: FrequencyComparison, title: st
     if peaks:
         report.table("resonances", ("loop", "Hz", "damping", "|L|"), peaks, "Peaks of |L| above the crossover")
     report.keep("comparison", of=comparison.measured.of, largest_departure=departure, largest_departure_Hz=at)
-    share = "it may be stable where the other is not" if departure >= 1.0 else "either is stable if the other is"
-    report.say(f"The loops part most at {at:.4g} Hz, by {departure:.2g} of the model's distance to -1: {share}.")
+    share = "one may be stable where the other is not" if departure >= 1.0 else "either is stable if the other is"
+    report.say(
+        f"The loops differ most at {at:.4g} Hz, by {departure:.2g} times the model's distance to -1; by such a "
+        f"difference alone {share}."
+    )
     report.record("frequency_response", (
         "Hz", "measured dB", "measured deg", "model dB", "model deg", "share of the distance to -1",
     ), [list(row) for row in zip(
         comparison.frequency, *_gain_and_phase(comparison.loop), *_gain_and_phase(comparison.model_loop),
         comparison.departure, strict=True,
     )])  # fmt: skip
-    report.figure("frequency_response", comparison_figure(comparison))
-    report.chart("frequency_response", measured_chart(comparison))
+    chart = measured_chart(comparison)
+    report.figure("frequency_response", comparison_figure(comparison), chart.caption)
+    report.chart("frequency_response", chart)
 
 
 @drawing

@@ -63,7 +63,8 @@ def report(result: Result, folder: str | Path, *, quiet: bool = True) -> Path:
         writer.page.is_command = False
         result.save(out)
         section(result, writer)
-        writer.conclude(*(() if writer.page.conclusions else (result.headline(),)), good=result.status.ok)
+        if not writer.page.conclusions:  # else the section has also said whether the result is good
+            writer.conclude(result.headline(), good=result.status.ok)
     return out
 
 

@@ -4,7 +4,7 @@ import math
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 
 import numpy as np
@@ -13,6 +13,7 @@ from diffdrive.support.messages import printable
 from diffdrive.support.spans import format_span
 
 DIGITS = 4
+INFINITE = "infinite"
 LEAST_PLAIN = -3  # power of ten below which a number is written with its exponent
 LARGEST_WHOLE = 1e6  # up to which a whole number is written out
 GAP = "  "  # between columns
@@ -35,8 +36,10 @@ def readable(text: str) -> str:
 
 def significant(value: float, digits: int = DIGITS) -> str:
     """So many significant digits; very large and very small numbers with an exponent that is a multiple of three."""
-    if value == 0.0 or not math.isfinite(value):
-        return f"{value:zg}"
+    if not math.isfinite(value):
+        return "-" if math.isnan(value) else INFINITE if value > 0.0 else f"-{INFINITE}"
+    if value == 0.0:
+        return "0"
     if value == round(value) and abs(value) < LARGEST_WHOLE:
         return f"{value:.0f}"
     exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])  # after rounding: 9999.9 has that of 10000
@@ -58,23 +61,27 @@ def interval(value: float, low: float, high: float) -> tuple[str, str]:
     ending = f"e{thousands}" if thousands else ""
     scaled = value / 10.0**thousands, low / 10.0**thousands, high / 10.0**thousands
     texts = [f"{text}{ending}" for text in format_span(scaled)]
-    return texts[0], f"{texts[1]} to {texts[2]}"
+    if math.isfinite(low) and math.isfinite(high):
+        return texts[0], f"{texts[1]} to {texts[2]}"
+    if math.isfinite(low) or math.isfinite(high):
+        return texts[0], f"at least {texts[1]}" if math.isfinite(low) else f"at most {texts[2]}"
+    return texts[0], "without limits"
 
 
 def _stripped(text: str) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def shown(value: object, digits: int = DIGITS) -> str:
-    """A value as a cell of a table."""
+def shown(value: object, digits: int = DIGITS, infinite: str = INFINITE) -> str:
+    """A value as a cell of a table; `infinite` is what a number without a limit means there."""
     if value is None:
         return "-"
     if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
     if isinstance(value, float | np.floating):
-        return significant(float(value), digits)
+        return infinite if value == math.inf else significant(float(value), digits)
     if isinstance(value, list | tuple):
-        return ", ".join(shown(one, digits) for one in value) or "-"
+        return ", ".join(shown(one, digits, infinite) for one in value) or "-"
     return readable(printable(str(value)))
 
 
@@ -149,17 +156,19 @@ def wrapped(text: str, width: int, indent: int = 0) -> list[str]:
 
 @dataclass
 class Column:
-    """A heading in words, its unit, and the cells below it."""
+    """A heading in words, its unit, and the cells below it, in which infinity is a word."""
 
     words: str
     unit: str
     cells: list[str]
+    infinite: str = INFINITE
     width: int = 0
 
     @property
     def numeric(self) -> bool:
         """Whether it is read from the right."""
-        return all(re.match(r"[-+]?[\d.]|(-|inf|nan)$", cell) for cell in self.cells if cell)
+        kept = [cell for cell in self.cells if cell.removeprefix("-") not in ("", self.infinite)]
+        return all(re.match(r"[-+]?[\d.]", cell) for cell in kept)
 
     @property
     def natural(self) -> int:
@@ -186,7 +195,11 @@ def _longest_word(text: str) -> int:
 
 
 def table(
-    headings: Sequence[str], rows: Sequence[Sequence[object]], width: int, digits: int = DIGITS
+    headings: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    width: int,
+    digits: int = DIGITS,
+    infinite: str = INFINITE,
 ) -> list[list[str]]:
     """Lines of a table; of several, one beside the other in their columns, where one would be wider than that.
 
@@ -195,7 +208,7 @@ def table(
     """
     columns = []
     for k, name in enumerate(headings):
-        columns.append(Column(*heading(name), [shown(row[k], digits) for row in rows]))
+        columns.append(Column(*heading(name), [shown(row[k], digits, infinite) for row in rows], infinite))
     return [_drawn(block) for block in _blocks(columns, width)]
 
 
@@ -210,7 +223,7 @@ def _blocks(columns: list[Column], width: int) -> list[list[Column]]:
     rest = columns[len(keys) :]
     while rest:
         count = max((k for k in range(1, len(rest) + 1) if _needed([*keys, *rest[:k]], "natural") <= width), default=1)
-        block = [*(Column(one.words, one.unit, one.cells) for one in keys), *rest[:count]]
+        block = [*(replace(one) for one in keys), *rest[:count]]
         _fit(block, width)
         blocks.append(block)
         rest = rest[count:]

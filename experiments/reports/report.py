@@ -68,7 +68,7 @@ class Report:
     """Collects what a command finds, prints it as it comes, and writes it to the folder `out`, if there is one.
 
     A command that is stopped before its first number, table or figure leaves the folder as it was: what an earlier one
-    wrote there stays whole.
+    wrote there stays as it is.
     """
 
     def __init__(self, title: str, out: Path | None, console: Console | None = None) -> None:
@@ -168,15 +168,16 @@ class Report:
         notes: Sequence[str] = (),
         *,
         of: str = "",
+        infinite: str = readable.INFINITE,
     ) -> None:
         """Print a table, as wide as the terminal, with so many significant digits; below it what its rows need said.
 
-        A column's unit is in its name: `RMS um`, `share, %`. `of` is the table that is recorded with the same content:
-        the page has it once.
+        A column's unit is in its name: `RMS um`, `share, %`; `infinite` is what infinity means in it. `of` is the table
+        that is recorded with the same content: the page has it once.
         """
-        self.page.tables.append(ShownTable(caption, columns, rows, digits, notes, of))
+        self.page.tables.append(ShownTable(caption, columns, rows, digits, notes, of, infinite))
         self._print(["", *self._prose(caption)], style="bold")
-        for k, block in enumerate(readable.table(columns, rows, self.console.width, digits)):
+        for k, block in enumerate(readable.table(columns, rows, self.console.width, digits, infinite)):
             self._print([""] if k else [])
             rule = next(k for k, line in enumerate(block) if line.startswith("─"))
             self._print(block[:rule], style="dim")
@@ -193,9 +194,11 @@ class Report:
         caption: str = "",
         digits: int = readable.DIGITS,
         notes: Sequence[str] = (),
+        infinite: str = readable.INFINITE,
     ) -> None:
         """`record` a table and `show` it."""
-        self.show(caption or readable.titled(name.replace("_", " ")), columns, rows, digits, notes, of=name)
+        caption = caption or readable.titled(name.replace("_", " "))
+        self.show(caption, columns, rows, digits, notes, of=name, infinite=infinite)
         self.record(name, columns, rows)
 
     def conclude(self, *sentences: str, verdict: str = "", good: bool | None = None) -> None:
@@ -203,6 +206,12 @@ class Report:
         self.page.conclusions += sentences
         self.page.verdict = verdict or self.page.verdict
         self.page.good = self.page.good if good is None else good
+
+    def result(self, *sentences: str, good: bool | None = None) -> None:
+        """Print the result, and begin the page with it: of a command whose result comes last."""
+        for sentence in sentences:
+            self.say(sentence)
+        self.conclude(*sentences, good=good)
 
     @contextlib.contextmanager
     def result_first(self) -> Iterator[Callable[[str], None]]:
@@ -222,7 +231,7 @@ class Report:
                 self._print(lines, style)
 
     def _prose(self, text: str) -> list[str]:
-        """Lines that break between words at the terminal's width; whole where there is no terminal."""
+        """Lines that break between words at the terminal's width; unbroken where there is no terminal."""
         lines = [readable.readable(printable(line)) for line in text.split("\n")]
         return [part for line in lines for part in readable.wrapped(line, self.width or len(line) + 1)]
 

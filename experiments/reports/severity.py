@@ -34,7 +34,9 @@ def report_severity(report: Report, found: SeverityResult) -> None:
     report.table("severity", ("machine", *symbols), rows, "ISO 230-2 and 230-4, simulated", notes=notes)
     if report.out is not None:
         found.save(report.out)
-        report.figure("severity", severity_figure(found))
+        report.figure("severity", severity_figure(found), (
+            "Simulated accuracy of the drive as it is, without each effect of its drive file, and without all of them."
+        ))  # fmt: skip
         if found.circles:
             in_order = {_named(one): found.circles[one.effect] for one in [*found.by_gain, found.without[-1]]}
             report.chart("circle", circle_chart({GIVEN: found.circles[AS_IT_IS]} | in_order))

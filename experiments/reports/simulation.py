@@ -69,8 +69,9 @@ def write_simulation(report: Report, run: Run, settle: float = 0.0) -> None:
     """The files of a run: what the command writes, the report of a result, and a machine of a sweep run again."""
     if report.out is not None:
         write_run(report.out / "run.csv", run)
-        report.figure("run", run_figure(run, settle))
-        report.chart("run", run_chart(run))
+        chart = run_chart(run)
+        report.figure("run", run_figure(run, settle), chart.caption)
+        report.chart("run", chart)
 
 
 def simulate_drive(
@@ -131,7 +132,7 @@ MAGNIFIED = 10  # times, the detail of a run: a reversal of some tenths of a sec
 
 @drawing
 def run_figure(run: Run, settle: float = 0.0) -> "Figure":
-    """Position, tracking error, forces and load: over the whole run, and magnified where the error is largest."""
+    """Position, tracking error, forces and load: over the run, and magnified where the error is largest."""
     figure, axes = new_figure(4, 2, height=1.55, share_y="row", width_ratios=(5, 3))
     counted = np.flatnonzero(np.isfinite(run.error) & (run.time >= settle))
     start, end = float(run.time[0]), float(run.time[-1])
@@ -162,7 +163,7 @@ def run_figure(run: Run, settle: float = 0.0) -> "Figure":
             axis.axvspan(start, settle, color=PALE, lw=0.0)
     for axis, label in zip(axes[:, 0], ("reference, mm", "tracking error, µm", "force, N", "load, kN"), strict=True):
         axis.set_ylabel(label)
-    axes[0, 0].set_title("the whole run")
+    axes[0, 0].set_title("all of the run")
     axes[0, 1].set_title(f"the {2.0 * half:.3g} s around the largest error")
     legend_below(figure)
     figure.align_ylabels(axes[:, 0])
@@ -228,6 +229,6 @@ def convergence_table(drive: Path, speeds: str, out: Path | None) -> bool:
             )
         report.table(
             "convergence", ("mm/s", "G +", "G -", "time constant + s", "time constant - s", "estimate"), rows,
-            "Gain G and time constant of eq. (20) over speed, forwards (+) and backwards (-)",
+            "Gain G and time constant of eq. (20) over speed, forwards (+) and backwards (-)", infinite="never settles",
         )  # fmt: skip
     return ok

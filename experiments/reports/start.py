@@ -1,4 +1,4 @@
-"""`diffdrive start`: a drive file from a trace, with the reason for each value; what is open is asked, or refused."""
+"""`diffdrive start`: a drive file from a trace, with the reason for each value; what is open is a question."""
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -57,18 +57,18 @@ def start_from_trace(
 
 def _answered(log: Path, report: Report, stated: dict[str, Any], ask: Ask | None) -> StartResult:
     """The result without open questions."""
-    asked: set[tuple[str, str]] = set()
+    answered: set[tuple[str, str]] = set()
     while True:
         with report.working(f"looking at {log.name}"):
             result = start(log, **stated)
         if not result.questions:
             return result
-        again = [one for one in result.questions if (one.argument, one.channel) in asked]
+        again = [one for one in result.questions if (one.argument, one.channel) in answered]
         if ask is None or again:
             raise ParameterError(f"{log}: " + "; ".join(str(question) for question in again or result.questions))
         report_guesses(report, result)
         for question in result.questions:
-            asked.add((question.argument, question.channel))
+            answered.add((question.argument, question.channel))
             answer = ask(question)
             if question.channel:
                 stated[question.argument][question.channel] = answer

@@ -46,7 +46,7 @@ _LOOK: Any = {  # a dictionary; Matplotlib states its keys one by one
     "legend.title_fontsize": SMALL, "xtick.labelsize": SMALL, "ytick.labelsize": SMALL, "figure.titlesize": TITLE,
     "figure.titleweight": "bold", "axes.titlelocation": "left", "axes.grid": True, "grid.alpha": 0.3,
     "lines.linewidth": 1.2, "axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True,
-    "legend.frameon": False, "legend.handlelength": 2.8,  # a whole period of the longest dashes
+    "legend.frameon": False, "legend.handlelength": 2.8,  # a full period of the longest dashes
     "savefig.dpi": RESOLUTION, "figure.dpi": RESOLUTION,
     "pdf.fonttype": 42,  # letters stay letters, which publishers ask for
     "svg.hashsalt": "diffdrive",  # the same figure is the same file
@@ -100,7 +100,7 @@ def save(figure: "Figure", file: IO[bytes] | str, ending: str = "png") -> None:
 
 
 def style(k: int) -> dict[str, Any]:
-    """Colour and dashes of the k-th curve: either tells it from the others, so that a print in grey does."""
+    """Colour and dashes of the k-th curve: either distinguishes it from the others, so that a print in grey does."""
     return {"color": COLOURS[k % len(COLOURS)], "ls": DASHES[k % len(DASHES)]}
 
 

@@ -15,6 +15,7 @@ from experiments.reports.charts.responses import bode_chart
 from experiments.reports.charts.signals import before_and_after
 from experiments.reports.interruption import stop_at_next_step
 from experiments.reports.loop_figures import bode, nyquist, responses
+from experiments.reports.margins import NO_LIMIT
 from experiments.reports.report import Report
 from experiments.reports.simulation import MAGNIFIED
 from experiments.reports.theme import BLACK, BLUE, DASHES, drawing, legend_below, new_figure, say, style
@@ -77,7 +78,10 @@ def report_tuning(report: Report, result: TuningResult) -> None:
         gains_table(report, result.search)
         margins_table(report, result.loop_margins)
         measured_table(report, result.measured_margins)
-        report.figure("tuning", tuning_figure(result.search, list(result.runs), result.plan))  # what it gains, first
+        report.figure("tuning", tuning_figure(result.search, list(result.runs), result.plan), (  # what it gains, first
+            "The search of the gains, and the tracking error with the gains as given and as tuned in the worst "
+            "scenario that was held out."
+        ))  # fmt: skip
         loop_figures(report, given, tuned, result.plan, result.setup.limits)
         verification_table(report, result.runs)
         first(verdict(result.search, result.runs))
@@ -104,7 +108,9 @@ def verdict(tuned: GainSearch, runs: Sequence[ScenarioComparison]) -> str:
     if is_accepted(tuned, runs):
         return f"Accepted: {held_out}; every requirement is kept."
     failed = [one.scenario.name for one in runs if not one.after.run.status.ok]
-    reasons = [f"{name} is missed by {100.0 * share:.3g} %" for name, share in tuned.violated.items()]
+    reasons = [
+        f"{name} is missed by {readable.significant(100.0 * share, 3)} %" for name, share in tuned.violated.items()
+    ]
     reasons += [f"simulation failed: {', '.join(failed)}"] if failed else []
     reasons += [] if reasons else [f"the search was {tuned.status}"]
     return f"NOT ACCEPTED, and no tuned.toml written: {'; '.join(reasons)}; {held_out}."
@@ -132,7 +138,7 @@ def gains_table(report: Report, tuned: GainSearch) -> None:
     report.show(
         "Gains; changed by the last factor, alone, one costs 5 % of the objective",
         ("gain", "unit", "given", "tuned", "ratio", "factor"),
-        [[name, unit.replace("*", " "), *row] for unit, (name, *row) in zip(tuned.units, rows, strict=True)],
+        [[name, readable.unit_of(unit), *row] for unit, (name, *row) in zip(tuned.units, rows, strict=True)],
         of="gains",
     )
     report.print(
@@ -153,7 +159,7 @@ def margins_table(report: Report, both: Sequence[ControllerMargins]) -> None:
             rows.append([f"{place}, {name}", *(worst.get(key) for key in WORST)])
     rows.sort(key=lambda row: str(row[0]))
     columns = ("where", "gain up dB", "gain down dB", "phase deg", "peak sensitivity", "growth 1/s")
-    report.table("margins", columns, rows, "Worst margins over speeds, directions and loads")
+    report.table("margins", columns, rows, "Worst margins over speeds, directions and loads", infinite=NO_LIMIT)
 
 
 def measured_table(report: Report, found: Sequence[MeasuredMargins]) -> None:
@@ -167,7 +173,8 @@ def measured_table(report: Report, found: Sequence[MeasuredMargins]) -> None:
         for name, m in (("given", one.before), ("tuned", one.after))
     ]  # fmt: skip
     columns = ("measured", "gain up dB", "gain down dB", "phase deg", "peak sensitivity", "stable")
-    report.table("measured_margins", columns, rows, "Margins of the loop with what was measured in the plant's place")
+    caption = "Margins of the loop with what was measured in the plant's place"
+    report.table("measured_margins", columns, rows, caption, infinite=NO_LIMIT)
 
 
 def loop_figures(report: Report, description: Axis, tuned: Controller, plan: TuningPlan, limits: LoopLimits) -> None:
@@ -178,9 +185,13 @@ def loop_figures(report: Report, description: Axis, tuned: Controller, plan: Tun
             name: responses(description.drive, controller, description.sampling, at)
             for name, controller in (("given", description.controller), ("tuned", tuned))
         }
-    report.figure("nyquist", nyquist(panels, limits))
-    report.figure("bode", bode(panels, limits))
-    report.chart("bode", bode_chart(panels))
+    report.figure("nyquist", nyquist(panels, limits), (
+        "Nyquist plot of the open loop L near -1, gains given and tuned, at each speed and load; shaded: what the "
+        "required margins exclude."
+    ))  # fmt: skip
+    chart = bode_chart(panels)
+    report.figure("bode", bode(panels, limits), chart.caption)
+    report.chart("bode", chart)
 
 
 WORST = ("gain_up_dB", "gain_down_dB", "phase_deg", "peak_sensitivity", "growth_per_s")
@@ -238,7 +249,10 @@ def report_pareto(report: Report, front: ParetoFront) -> None:
     columns = ("noise limit N", "objective", "feasible", "held-out noise N", "held-out RMS um")
     report.table("pareto", columns, rows, "Tuned again under each limit of the command noise")
     if any(point.feasible for point in front.points):
-        report.figure("pareto", pareto_figure(front))
+        report.figure("pareto", pareto_figure(front), (
+            "Tracking error over command noise, the gains tuned again under each limit of the noise: on the scenarios "
+            "of the search, and on those held out."
+        ))  # fmt: skip
 
 
 @drawing

@@ -170,6 +170,10 @@ def _emps_withheld(report: Report, records: Records, cases: dict[str, WithheldTe
             rows,
             "EMPS, a term withheld: found from the estimation file, force error on the pulse file",
         )
+    known = [row for row in rows if row[0] != "nothing"]  # which withholds nothing
+    if known:
+        named = sum(row[4] != "not" for row in known)
+        report.result(f"EMPS: of {len(known)} terms that are withheld, one at a time, {named} are named.")
 
 
 def _withheld_row(
@@ -209,7 +213,7 @@ def _scaled(log: Log, factor: float) -> Log:
 def _emps_unchanged(report: Report, records: Records, drive: Drive, controller: Controller) -> None:
     """What the identified drive lacks, found in one file and checked on the other."""
     diagnosis = _diagnose(report, drive, controller, records["estimation"].log, 2, IDENTIFIED_TOLERANCE)
-    report.say(f"EMPS as it is: {diagnosis.verdict.verdict}: {diagnosis.verdict.says}")
+    report.result(f"EMPS as it is: {diagnosis.verdict.verdict}: {diagnosis.verdict.says}")
     report.table(
         "emps_causes", ("effect", "confidence", "evidence", "parameters"), _causes(diagnosis), "EMPS: what is missing"
     )
@@ -247,6 +251,8 @@ def _laas(report: Report, folder: Path) -> None:
             rows,
             "LAAS: the strongest wave of the cogging that was found",
         )
+    found = sum(row[3] is not None for row in rows)
+    report.result(f"LAAS: cogging is found in {found} of {len(rows)} halves of logs.")
 
 
 def _cogging(diagnosis: Diagnosis) -> tuple[float | None, float | None]:

@@ -24,8 +24,12 @@ COMMANDS = {
 OTHERS = {  # by what they show
     "reproduce": ("reproduce",),
     "keys": ("keys",),
+    "motions": ("motions",),
+    "axes": ("axes",),
+    "controller": ("check", "lap.csv", "--drive", "drive.toml", "--controller"),
     "convergence": ("convergence", "le.toml"),
     "export": ("export", PAPER_DRIVE, "--target", "structured-text", *MOTION),
+    "export to hal": ("export", PAPER_DRIVE, "--target", "hal", *MOTION),
     "encoders": ("check", "two.csv", "--drive", "drive.toml"),
     "measured margins": ("margins", "pd.toml", "--measured", "plant.csv", "--of", "plant", "--unit", "(m/s)/N"),
     "severity": (

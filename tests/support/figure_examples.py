@@ -205,7 +205,8 @@ def two_encoders():
     )
     error = SimpleNamespace(value=4e-6, half_width=5e-7)
     return SimpleNamespace(
-        samples=samples, headline=lambda: "reversal error 4 um (3.5 to 4.5 um)", places=[(-0.01, 0.0, error)],
+        log="lap", samples=samples,
+        headline=lambda: "reversal error 4 um (3.5 to 4.5 um)", places=[(-0.01, 0.0, error)],
         reversals=[SimpleNamespace(position=place, error=4e-6) for place in (-0.02, 0.02)],
     )  # fmt: skip
 

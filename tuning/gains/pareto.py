@@ -10,6 +10,7 @@ import numpy as np
 from diffdrive.errors import ParameterError
 from diffdrive.results import Result, Status
 from diffdrive.support.bounds import require_a, require_number
+from diffdrive.support.spans import format_span
 from tuning.gains.plan import run_scenario
 from tuning.gains.result import TuningResult
 from tuning.gains.tune import GainSearch
@@ -133,7 +134,9 @@ def _judged(result: TuningResult, limit: float, found: GainSearch) -> tuple[Pare
     """What these gains do held out, and what speaks against them."""
     sampling, settle = result.initial_axis.sampling, result.plan.settle
     runs = [run_scenario(found.controller, scenario, sampling, settle) for scenario in result.setup.held_out]
-    problems = [f"{name} is missed by {100.0 * share:.3g} %" for name, share in found.violated.items()]
+    problems = [
+        f"{name} is missed by {format_span((100.0 * share, None, None))[0]} %" for name, share in found.violated.items()
+    ]
     problems += [
         f"{scenario.name}: {judged.run.status.message}"
         for scenario, judged in zip(result.setup.held_out, runs, strict=True)

@@ -8,6 +8,7 @@ from diffdrive.axis import Axis
 from diffdrive.controllers import Controller, FrictionCompensation
 from diffdrive.measured_loop import margins_as_dict
 from diffdrive.results import Result, Status
+from diffdrive.support.spans import format_span
 from tuning.gains.measured import MeasuredMargins
 from tuning.gains.objective import Objective
 from tuning.gains.plan import TuningPlan
@@ -164,5 +165,8 @@ def remarks(tuned: GainSearch) -> list[str]:
         for requirement in tuned.binding
     ]
     mend = "no gains near these keep it: relax it" if tuned.best.state.infeasible else "search on"
-    found += [f"NOT KEPT: {name}, missed by {100 * share:.3g} %; {mend}." for name, share in tuned.violated.items()]
+    found += [
+        f"NOT KEPT: {name}, missed by {format_span((100.0 * share, None, None))[0]} %; {mend}."
+        for name, share in tuned.violated.items()
+    ]
     return found

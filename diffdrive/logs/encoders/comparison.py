@@ -28,6 +28,7 @@ from diffdrive.logs.log import Log
 from diffdrive.support.bounds import require_a
 
 PLACES = 10  # stretches of the stroke whose reversal error is reported
+ROUNDINGS = 4  # of double precision, in a difference of two positions about its mean: both, the difference, the mean
 FEWEST = 50  # samples that slide
 FEWEST_PASSES = 6  # two more than what their differences show: zero, reversal error, its change, drift
 
@@ -144,19 +145,24 @@ def _compared(log: Log, axis: Axis | None, samples: _Samples) -> EncoderComparis
     change = fit.estimate("change") if both else None
     fitted = np.where(samples.used, _model(fit, columns), np.nan)
     errors = np.array([one.error for one in reversals])
+    rounding = ROUNDINGS * np.finfo(float).eps * max(np.max(np.abs(samples.motor)), np.max(np.abs(samples.table)))
+    per_travel, per_second, per_speed, per_force = (
+        rounding / max(float(np.max(np.abs(one))), np.finfo(float).tiny)
+        for one in (np.ptp(samples.table), np.ptp(samples.time), samples.passes.velocity, samples.command)
+    )
     return EncoderComparison(
         log=log.name,
-        reversal_error=error,
-        backlash=backlash,
-        wind_up=None if error is None or backlash is None else _rest(error, backlash),
-        change_along_stroke=None if change is None else change.times(2.0),
+        reversal_error=_beyond(rounding, error),
+        backlash=_beyond(rounding, backlash),
+        wind_up=None if error is None or backlash is None else _beyond(rounding, _rest(error, backlash)),
+        change_along_stroke=None if change is None else _beyond(per_travel, change.times(2.0)),
         scatter=float(np.std(errors, ddof=1)) if len(errors) > 1 else None,
-        compliance=compliance,
+        compliance=_beyond(per_force, compliance),
         period=period,
-        per_turn=per_turn,
-        linear=fit.estimate("linear"),
-        drift=fit.estimate("drift"),
-        delay=fit.estimate("delay"),
+        per_turn=_beyond(rounding, per_turn),
+        linear=_beyond(per_travel, fit.estimate("linear")),
+        drift=_beyond(per_second, fit.estimate("drift")),
+        delay=_beyond(per_speed, fit.estimate("delay")),
         residual=robust_std(fit.residual),
         resolution=_resolution(log, axis),
         reversals=reversals,
@@ -171,6 +177,13 @@ def _compared(log: Log, axis: Axis | None, samples: _Samples) -> EncoderComparis
             as_table=samples.table + rest,
         ),
     )
+
+
+def _beyond(rounding: float, estimate: Estimate | None) -> Estimate | None:
+    """Zero where the interval lies within what rounding makes of a motor position that is a copy of the table's."""
+    if estimate is None or max(abs(estimate.low), abs(estimate.high)) > rounding:
+        return estimate
+    return Estimate(0.0, 0.0, 0.0)
 
 
 def _resolution(log: Log, axis: Axis | None) -> float:

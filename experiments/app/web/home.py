@@ -57,7 +57,7 @@ def home(jobs: Jobs, do: str) -> None:
         }
         if shown.get("files") != now["files"]:
             _show_files(files, jobs, looks, names)
-        # drawn anew only where a state has changed: a link that has the focus, or is being pressed, must stay
+        # drawn again only where a state has changed: a link that has the focus, or is being pressed, must stay
         if shown.get("runs") != now["runs"]:
             doing.clear()
             doing.update(_show_runs(runs, states))

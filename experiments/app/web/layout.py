@@ -24,12 +24,12 @@ WORDS: dict[State, tuple[str, str, str]] = {  # of a state: the word, its icon, 
     "killed": ("interrupted", "power_off", "dd-warn"),
     "failed": ("failed", "report", "dd-bad"),
 }
-MOST_LOG = 5 << 20  # bytes of app-log.txt, beyond which it begins anew
+MOST_LOG = 5 << 20  # bytes of app-log.txt, beyond which it begins again
 
 
 @contextlib.contextmanager
 def page(title: str, home: bool = False) -> Iterator[None]:
-    """The frame of a page; its title tells tabs apart."""
+    """The frame of a page; its title distinguishes tabs."""
     ui.page_title(title if home else f"{title} - diffdrive")
     ui.colors(primary="#1f5fae", positive="#1c6b2a", negative="#a61b1b")  # white on each is legible
     ui.add_head_html('<link rel="stylesheet" href="/static/app.css"><script src="/static/drop.js" defer></script>')

@@ -70,7 +70,7 @@ def progress(jobs: Jobs, name: str, results: str) -> None:
             return
         state, console = job.state, job.console()
         result = read_result(job) if state not in ("waiting", "running") else None
-        # each is drawn anew only where it has changed: what has the focus, or is being pressed, must stay
+        # each is drawn again only where it has changed: what has the focus, or is being pressed, must stay
         if shown.get("head") != (state, console.error):
             clock[:] = [_show_head(head, jobs, job, state, console)]
         clock[0].set_text(duration(job.seconds) if job.seconds else "")
@@ -202,7 +202,7 @@ def _show_result(jobs: Jobs, job: Job, base: str, state: State, result: JobResul
         ui.label(f"diffdrive {' '.join(job.arguments)}").classes("dd-code")
         with ui.expansion("What it printed").classes("w-full").props("dense"):
             ui.label(console.text).classes("dd-log")
-            ui.link("The whole log", f"{base}/log")
+            ui.link("The full log", f"{base}/log")
 
 
 def _say_all(sentences: list[str]) -> None:

@@ -19,4 +19,6 @@ def circle_chart(circles: Mapping[str, Float[np.ndarray, "2 t"]]) -> Chart:
         ])
         for k, sense in enumerate(SENSES)
     ]  # fmt: skip
-    return Chart("Deviation of the radius over the angle of the circular test, in both senses of rotation.", panels)
+    return Chart(
+        "Deviation of the radius over the angle of the simulated circular test, in both senses of rotation.", panels
+    )

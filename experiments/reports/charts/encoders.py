@@ -23,7 +23,8 @@ def encoders_chart(comparison: EncoderComparison) -> Chart:
     if errors:
         panels.append(Panel(POSITION, "reversal error, µm", errors))
     panels.append(Panel(TIME, DIFFERENCE, _lines(comparison, samples.time)))
-    return Chart("Motor minus table along the stroke, by direction, and over time, beside the model of it.", panels)
+    caption = f"Motor minus table along the stroke, by direction, and over time, beside its model: {comparison.log}."
+    return Chart(caption, panels)
 
 
 def _lines(comparison: EncoderComparison, x: np.ndarray) -> list[Line]:

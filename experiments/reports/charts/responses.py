@@ -20,7 +20,7 @@ def bode_chart(panels: Mapping[str, Mapping[OperatingPoint, Response]]) -> Chart
         phase = [Line(name, frequency, _degrees(loop)) for name, frequency, loop in loops]
         drawn.append(Panel(FREQUENCY, f"{GAIN}, {title}", gain, log_x=True))
         drawn.append(Panel(FREQUENCY, f"{PHASE}, {title}", phase, log_x=True))
-    return Chart(f"Open loop over frequency: {' and '.join(panels)}, at each speed and load.", drawn)
+    return Chart(f"Open loop L over frequency, gains {' and '.join(panels)}, at each speed and load.", drawn)
 
 
 def measured_chart(found: FrequencyComparison) -> Chart:
@@ -35,7 +35,7 @@ def measured_chart(found: FrequencyComparison) -> Chart:
             log_x=True, log_y=True,
         ),
     ]  # fmt: skip
-    return Chart("Open loop over frequency, measured and of the model, and by how much they part.", panels)
+    return Chart("Open loop L over frequency, measured and of the model, and by how much they part.", panels)
 
 
 def _point(at: OperatingPoint) -> str:

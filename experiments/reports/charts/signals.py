@@ -24,7 +24,7 @@ def run_chart(run: Run) -> Chart:
         Panel(TIME, "force, N", force),
         Panel(TIME, "load, kN", load),
     ]
-    return Chart("Signals of the run over time: position, tracking error, forces, load.", panels)
+    return Chart("Signals of the simulated run over time: position, tracking error, forces, load.", panels)
 
 
 def before_and_after(name: str, before: Run, after: Run) -> Chart:

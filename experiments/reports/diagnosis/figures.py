@@ -9,7 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from diffdrive.logs import Log
-from experiments.reports.charts.missing_force import of_diagnosis
+from experiments.reports.charts.missing_force import GAPS, of_diagnosis, of_log, over_the_time
+from experiments.reports.page.chart import Line, thinned
+from experiments.reports.page.plotly import FEW
 from experiments.reports.report import Report
 from experiments.reports.theme import BLUE, DASHES, REFERENCE, drawing, legend_below, new_figure, say
 from tuning.diagnosis.diagnose import Diagnosis
@@ -19,20 +21,32 @@ from tuning.diagnosis.judgement.ladder import ModelComparison
 MOST_POINTS = 6000  # of a signal in a figure
 REGIONS, CAUSES = 12, 8
 BEFORE, AFTER = "0.6", BLUE
-LESS: dict[str, Any] = {"facecolor": BEFORE, "hatch": "////", "edgecolor": "white"}  # bars, told apart in grey
-BLANK = "blank where the table rests, and where nothing is held out"
+LESS: dict[str, Any] = {
+    "facecolor": BEFORE,
+    "hatch": "////",
+    "edgecolor": "white",
+}  # bars that differ in grey print, too
 ROOM = 1.8  # times the largest value, above it, and below the least
 
 
 def save_diagnosis_figures(report: Report, found: Diagnosis, logs: Sequence[Log]) -> None:
     """Save every figure."""
-    report.figure("ladder", _ladder(found))
-    report.figure("missing_force", _missing(found, logs))
+    on = found.split.says
+    report.figure("ladder", _ladder(found), (
+        f"Gap of each model, {on}, beside the noise floor: missing force and, simulated, position and command; bars: "
+        "95 % intervals."
+    ))  # fmt: skip
+    log = logs[found.split.logs[-1]].name
+    report.figure("missing_force", _missing(found, logs), f"Missing force, {log}: {on} ({GAPS}).")
     if (chart := of_diagnosis(found, logs)) is not None:
         report.chart("missing_force", chart)
-    report.figure("where", _where(found))
+    report.figure(
+        "where",
+        _where(found),
+        ("Where the gap lies: the share of it at each place, beside the share that chance would give."),
+    )
     if found.verdict.beliefs:
-        report.figure("causes", _causes(found))
+        report.figure("causes", _causes(found), "How sure each cause of the gap is: its confidence.")
 
 
 @drawing
@@ -56,11 +70,11 @@ def _ladder(found: Diagnosis) -> Figure:
         )
         axis.set_xlim(-0.5, len(rms) - 0.5)
     legend_below(figure, axes[0])
-    told = [
+    known = [
         (comparison.name, value) for comparison, value in zip(found.comparisons, rms, strict=True) if np.isfinite(value)
     ]
-    gap = "no model's filter could tell it" if not told else f"{told[0][1]:.3g} N RMS {told[0][0]}"
-    gap += "" if len(told) < 2 else f", {told[-1][1]:.3g} N {told[-1][0]}"
+    gap = "no model's filter determines it" if not known else f"{known[0][1]:.3g} N RMS {known[0][0]}"
+    gap += "" if len(known) < 2 else f", {known[-1][1]:.3g} N {known[-1][0]}"
     floor = "" if found.floor is None else f" (noise floor {found.floor:.3g} N)"
     say(figure, f"The missing force, {found.split.says}: {gap}{floor}")
     return figure
@@ -91,19 +105,16 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Figure:
     log = found.split.logs[-1]
     repeats = _period(found, log)
     figure, axes = new_figure(2 if repeats is None else 3, 1, height=2.2, share_x=False)
-    lanes = [lane for lane, owner in enumerate(found.logged.owner) if owner == log]
-    rate, starts = found.logged.sampling.rate, np.asarray(found.logged.starts)
     for comparison, label, color in (one for one in _first_and_last(found.comparisons) if one[0].force.told):
-        for lane in lanes:
-            counts = comparison.force.counts[lane] > 0
-            every = max(1, counts.size // MOST_POINTS)
-            force = np.where(counts, comparison.force.force[lane], np.nan)[::every]
-            position = 1e3 * np.asarray(comparison.force.trajectory.position[lane])[::every]
-            time = starts[lane] + np.arange(counts.size)[::every] / rate
-            axes[0].plot(time, force, color=color, linewidth=0.8, label=label if lane == lanes[0] else None)
-            axes[1].plot(position, force, ".", color=color, markersize=1.5)
-            if repeats is not None:
-                axes[2].plot(np.mod(position, repeats[0]), force, ".", color=color, markersize=1.5)
+        time, position, force = of_log(found, comparison, log)
+        line = Line(label, *over_the_time(time, force))
+        axes[0].plot(*thinned(line, MOST_POINTS), color=color, linewidth=0.8, label=label)
+        known = np.flatnonzero(np.isfinite(force))
+        some = known[:: max(1, known.size // MOST_POINTS)]
+        size = 4.0 if some.size < FEW else 1.5
+        axes[1].plot(position[some], force[some], ".", color=color, markersize=size)
+        if repeats is not None:
+            axes[2].plot(np.mod(position[some], repeats[0]), force[some], ".", color=color, markersize=size)
     axes[0].set_xlabel("time, s")
     axes[1].set_xlabel("position, mm")
     if repeats is not None:
@@ -111,7 +122,7 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Figure:
     for axis in axes:
         axis.set_ylabel("missing force, N")
     legend_below(figure, axes[0])
-    axes[0].set_title(BLANK)
+    axes[0].set_title(GAPS)
     shares = [
         f"{one.force.rms:.3g} N RMS {label}" for one, label, _ in _first_and_last(found.comparisons) if one.force.told
     ]

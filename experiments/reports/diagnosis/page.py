@@ -29,7 +29,6 @@ from experiments.reports.diagnosis.answers import (
     regions_in_words,
     size_rows,
 )  # fmt: skip
-from experiments.reports.diagnosis.figures import BLANK
 from experiments.reports.page.built_in import shown_figures
 from experiments.reports.page.sections import page_section
 from experiments.reports.page.table import PageTable, page_table
@@ -41,12 +40,6 @@ if TYPE_CHECKING:
 
 GIVEN = "diagnosis"
 COVERED = ("numbers", "tables", "remarks")  # sections that these stand for
-CAPTIONS = {
-    "missing_force": f"The missing force, on held-out data ({BLANK}).",
-    "where": "Shares of the gap beside what chance would give.",
-    "causes": "How sure each cause is.",
-    "ladder": "The gap of each model on held-out data, against the noise floor; bars: 95 %.",
-}
 Taken = Mapping[str, Any] | None
 
 
@@ -71,7 +64,7 @@ def gap(page: "Page") -> Taken:
     return {
         "findings": _findings(details), "says": size["says"], "notes": odd_notes(details["ladder"][:2]),
         "table": _table(SIZE, size_rows(details), f"{LOOP}; {size['judged_on']}", page, "gap"),
-        "figures": shown_figures(page, {"missing_force"}, CAPTIONS),
+        "figures": shown_figures(page, {"missing_force"}),
     }  # fmt: skip
 
 
@@ -83,7 +76,7 @@ def where(page: "Page") -> Taken:
     return {
         "regions": regions_in_words(details),
         "nowhere": NOWHERE,
-        "figures": shown_figures(page, {"where"}, CAPTIONS),
+        "figures": shown_figures(page, {"where"}),
     }
 
 
@@ -96,7 +89,7 @@ def causes(page: "Page") -> Taken:
     return {
         "table": _table(CAUSES, rows, FOUND_FIRST, page, "causes") if rows else None,
         "why_none": NOT_WORTH if details["searched"] else NOT_SEARCHED, "left": details["left_looks_like"],
-        "figures": shown_figures(page, {"causes"}, CAPTIONS),
+        "figures": shown_figures(page, {"causes"}),
         "nominal": page_table(BOTH, NOMINAL, [recalibrated_row(one) for one in details["recalibrated"]]),
     }  # fmt: skip
 
@@ -110,7 +103,7 @@ def shrink(page: "Page") -> Taken:
     return {
         "says": details["closed"]["says"], "notes": odd_notes(details["ladder"]), "loop": loop_reasons(details),
         "table": _table(LADDER, ladder_rows(details), f"{SHRINK}; {judged_on}", page, "ladder"),
-        "figures": shown_figures(page, {"ladder"}, CAPTIONS), "augmented": page.contents.given[GIVEN][1],
+        "figures": shown_figures(page, {"ladder"}), "augmented": page.contents.given[GIVEN][1],
         "scale_noise": details["scale_noise"], "payoff": _payoff(details),
     }  # fmt: skip
 

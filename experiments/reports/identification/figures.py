@@ -12,6 +12,7 @@ from diffdrive.logs import Log
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Drive
 from experiments.reports.charts.missing_force import of_identification
+from experiments.reports.charts.stretches import as_lines
 from experiments.reports.identification.forest import forest
 from experiments.reports.report import Report
 from experiments.reports.theme import (
@@ -41,6 +42,11 @@ MOST_POINTS = 20_000  # of a signal in a figure
 def save_identification_figures(report: Report, found: Identification, before: Drive, logs: Sequence[Log]) -> None:
     """Save every figure; one whose data the logs do not hold is left out, and said so."""
     stretches = gap_free_pieces(logs)
+    names = ", ".join(log.name for log in logs)
+    captions = {
+        "stribeck": f"Friction over speed, forwards and backwards: measured in {names}, of the drive file, identified.",
+        "hysteresis": f"Friction over the way since a reversal: measured in {names}, of the drive file, identified.",
+    }
     for name, make in (("stribeck", _stribeck), ("hysteresis", _hysteresis)):
         try:
             figure, notes = make(found, before, stretches)
@@ -49,11 +55,16 @@ def save_identification_figures(report: Report, found: Identification, before: D
         if figure is None:
             report.say(f"{name}.png is left out: {'; '.join(notes)}")
         else:
-            report.figure(name, figure)
-    report.figure("missing_force", _missing_force(found, stretches))
-    report.chart("missing_force", of_identification(found, stretches))
-    report.figure("parameters", forest(found.estimates))
-    report.figure("innovations", _innovations(found, stretches))
+            report.figure(name, figure, captions[name])
+    chart = of_identification(found, stretches, names)
+    report.figure("missing_force", _missing_force(found, stretches), chart.caption)
+    report.chart("missing_force", chart)
+    report.figure("parameters", forest(found.estimates), (
+        f"Each parameter identified from {names} over the drive file's value, with its 95 % interval."
+    ))  # fmt: skip
+    report.figure("innovations", _innovations(found, stretches), (
+        f"Innovations, the errors of the one-step prediction of {names}: their autocorrelation and their distribution."
+    ))  # fmt: skip
 
 
 @drawing
@@ -152,6 +163,7 @@ def _missing_force(found: Identification, stretches: Sequence[Log]) -> Figure:
     figure, axes = new_figure(3, 1, height=2.0, share_x=False)
     axes[1].sharex(axes[0])
     begin, largest, squares = 0.0, 0.0, []
+    span = sum(len(one.time) / one.rate for one in stretches)
     named: set[str] = set()
     for k, (one, missing, velocity) in enumerate(zip(stretches, found.missing_force, found.velocity, strict=True)):
         force, speed = missing[: len(one.time)], velocity[: len(one.time)]
@@ -162,7 +174,7 @@ def _missing_force(found: Identification, stretches: Sequence[Log]) -> Figure:
         time = begin + one.time - one.time[0]
         begin = time[-1] + 1.0 / one.rate
         axes[0].plot(time[::step], 1e3 * one.position[::step], color=BLACK, lw=0.8)
-        axes[1].plot(time[::step], force[::step], color=BLACK, lw=0.6)
+        axes[1].plot(*as_lines(time, force, span), color=BLACK, lw=0.6)
         for side, shade, mark, name in ((1, BLUE, "o", "forwards"), (-1, ORANGE, "s", "backwards")):
             at = side * speed > 0
             if at.any():

@@ -93,7 +93,7 @@ def report_identification(report: Report, result: IdentificationResult) -> None:
         if name := write_axis_file(report, result.axis, "identified.toml"):
             report.keep("written", file=name)
         write_uncertainty(report.out, result.axis)
-    report.conclude(f"{readable.titled(result.headline())}.", good=result.status.ok)
+    report.conclude(f"{readable.titled(result.headline())}.", good=judged(result))
     for doubt in result.doubts:
         report.say(f"Doubtful: {doubt}.")
     for lack in result.shortcomings:
@@ -108,6 +108,11 @@ def report_identification(report: Report, result: IdentificationResult) -> None:
     if report.out is not None:
         with report.working("drawing"):
             save_identification_figures(report, result.fit, result.initial_axis.drive, result.logs.logs)
+
+
+def judged(result: IdentificationResult) -> bool | None:
+    """Whether the result is good; None where the model is incomplete: no error, and nothing to be content with."""
+    return None if result.status.ok and result.fit.adequacy.has_structure else result.status.ok
 
 
 def parse_bounds(texts: Sequence[str], sheet: DataSheet = NO_SHEET) -> dict[str, tuple[float, float]]:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 POINTS = 150_000  # of all charts together: at most 16 bytes each, 3.2 MB as they stand on a page
 PICTURES = 2_500_000  # bytes of all pictures together, 3.3 MB on a page; with charts and plotly.js less than 8 MB
 NOT_NUMBERS = ("title", "made_by", "tables", "figures", "notes", "timings_s", "seconds", "stopped_by", "says")
+FILES = ("file", "files")  # which have a section of their own
 KINDS = {
     ".json": "for programs", ".csv": "table", ".png": "picture", ".svg": "picture", ".toml": "drive file or settings",
     ".parquet": "table", ".nc": "signals", ".md": "text", ".st": "code", ".c": "code", ".h": "code", ".hal": "code",
@@ -58,9 +59,9 @@ def numbers(page: "Page") -> Taken:
             rows += [
                 [": ".join(one for one in (words or key, inner) if one), it, unit]
                 for inner, it in within.items()
-                if it not in ([], ())
+                if it not in ([], ()) and key not in FILES and not _is_series(it)
             ]
-        if not rows:
+        if all(isinstance(it, str) or it is None for _, it, _ in rows):  # which sentences say better
             continue
         with_units = 3 if any(unit for *_, unit in rows) else 2
         columns = ("quantity", "value", "unit")[:with_units]
@@ -68,13 +69,18 @@ def numbers(page: "Page") -> Taken:
     return {"tables": groups} if groups else None
 
 
+def _is_series(value: object) -> bool:
+    """Lists of lists are for programs, which find them in result.json: as a row they would be wider than any screen."""
+    return isinstance(value, list | tuple) and any(isinstance(one, list | tuple | dict) for one in value)
+
+
 def figures(page: "Page") -> Taken:
     """Charts to zoom into, and pictures; a picture of a chart's name is the chart on paper."""
     return shown_figures(page, {*page.contents.charts, *(one.name for one in page.contents.pictures)} - page.shown)
 
 
-def shown_figures(page: "Page", names: set[str], captions: Mapping[str, str] | None = None) -> Taken:
-    """The figures of these names, with other captions if need be; what a section shows is not shown again."""
+def shown_figures(page: "Page", names: set[str]) -> Taken:
+    """The figures of these names; what a section shows is not shown again."""
     found = {one.name: one for one in page.contents.pictures if one.name in names}
     items = []
     most = share(list(page.contents.charts.values()), POINTS)
@@ -86,7 +92,6 @@ def shown_figures(page: "Page", names: set[str], captions: Mapping[str, str] | N
             item["description"] = picture.description
         if chart is not None:
             item |= {"caption": chart.caption, "chart": data_block(figure(chart, most)), "legend": legend(chart)}
-        item["caption"] = (captions or {}).get(name, item["caption"])
         items.append(item)
         page.shown.add(name)
     return {"items": items} if items else None
@@ -106,7 +111,7 @@ def tables(page: "Page") -> Taken:
     shown = [
         page_table(
             one.caption, one.columns, one.rows,
-            digits=one.digits, notes=one.notes, file=_url(f"{one.of}.csv") if one.of else "",
+            digits=one.digits, infinite=one.infinite, notes=one.notes, file=_url(f"{one.of}.csv") if one.of else "",
         )
         for one in page.contents.tables
     ]  # fmt: skip

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from experiments.reports.page.chart import Chart
+from experiments.reports.readable import INFINITE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,6 +21,7 @@ class ShownTable:
     digits: int
     notes: Sequence[str] = ()
     of: str = ""
+    infinite: str = INFINITE
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ class Part:
 
 
 def render(page: Page) -> str:
-    """The whole page, as text."""
+    """The page, as text."""
     parts = [part for name, section in _in_order() if (part := _part(page, name, section)) is not None]
     said = [part.body for part in parts if part.name not in ("files", "made")]  # names of files are no terms
     terms = terms_in(re.sub(r"<script.*?</script>|<[^>]*>", " ", " ".join(said), flags=re.S))

@@ -15,6 +15,7 @@ PANEL, GAP, ABOVE, BELOW = 220, 50, 20, 64  # px: height of a panel, room for nu
 TITLE = 26  # px more, where between two panels stands the label of x
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 SYMBOLS = ("circle", "square", "diamond", "cross", "x", "triangle-up")
+FEW, LARGE, SMALL = 100, 7, 3  # points up to which each is seen as a symbol; px of such, and of those of a cloud
 COLOURS = 6  # that the style of the page defines; beyond them the dashes tell lines apart
 FEW_DECADES = 2.5  # up to which seven numbers fit below the width of a phone
 SPAN = 1e-3  # of a step of x: how far a rounded x may be off
@@ -95,7 +96,8 @@ def _dash(number: int) -> str:
 
 
 def _axis(label: str, logarithmic: bool, values: np.ndarray) -> dict[str, Any]:
-    axis: dict[str, Any] = {"title": {"text": plain(label)}, "automargin": True}
+    # by itself plotly.js writes 50µ for 50e-6, whatever the unit in the label
+    axis: dict[str, Any] = {"title": {"text": plain(label)}, "automargin": True, "exponentformat": "power"}
     return axis | ({"type": "log"} | _ticks(values) if logarithmic else {})
 
 
@@ -122,7 +124,8 @@ def _trace(line: Line, number: int, axes: str, most: int) -> dict[str, Any]:
         "mode": "markers" if line.style == "points" else "lines", "hovertemplate": "%{x:.6~g}<br>%{y:.4~g}",
     }  # fmt: skip
     if line.style == "points":
-        return trace | {"marker": {"size": 3, "symbol": SYMBOLS[number % len(SYMBOLS)]}}
+        size = SMALL if len(y) > FEW else LARGE
+        return trace | {"marker": {"size": size, "symbol": SYMBOLS[number % len(SYMBOLS)]}}
     shape = {"shape": "hv"} if line.style == "steps" else {}
     return trace | {"line": {"width": 1.4, "dash": _dash(number)} | shape}
 

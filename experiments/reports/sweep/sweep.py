@@ -13,6 +13,7 @@ from diffdrive.errors import ParameterError
 from diffdrive.motion.text import require_choice
 from diffdrive.support.atomic_write import atomic_write
 from experiments.reports.charts.distribution import distribution_chart
+from experiments.reports.readable import significant, unit_of
 from experiments.reports.report import RESULT, Report, named_file
 from experiments.reports.simulation import write_simulation
 from experiments.reports.sweep import figures
@@ -23,7 +24,7 @@ from tuning.sweeps.plan import SweepPlan
 from tuning.sweeps.replay import SIGNALS, choose_names, machine_run, repeat_costs, run_errors, sweep_machine, traces
 from tuning.sweeps.result import SweepResult, group_influences
 from tuning.sweeps.spec import FILE, read_spec
-from tuning.sweeps.summary import first_to_diverge, worst
+from tuning.sweeps.summary import ERRORS, first_to_diverge, worst
 from tuning.sweeps.workflow import PARTS, Started, sweep
 
 ALIKE = 0.01  # of RMS and peak error: what the signals of a machine by itself may be off
@@ -118,18 +119,30 @@ def save_sweep_figures(
         report.say(f"{all_groups[0].motion}: no figures, since every machine diverged.")
         return
     motion = f"_{named_file(all_groups[0].motion)}" if len(plan.motions) > 1 else ""
-    report.figure(f"distribution{motion}", figures.distribution(all_groups, tolerance, by))
+    on = f"of {plan.samples} machines, {all_groups[0].motion}"
+    report.figure(
+        f"distribution{motion}", figures.distribution(all_groups, tolerance, by),
+        f"Distribution of the {ERRORS[by]} {on}; further left is better.",
+    )  # fmt: skip
     if (chart := distribution_chart(all_groups, tolerance, by)) is not None:
         report.chart(f"distribution{motion}", chart)
-    report.figure(f"exceedance{motion}", figures.exceedance_figure(all_groups, tolerance, by))
+    report.figure(
+        f"exceedance{motion}", figures.exceedance_figure(all_groups, tolerance, by),
+        f"Share {on} that misses a tolerance on the {ERRORS[by]}, over the tolerance, with 95 % intervals.",
+    )  # fmt: skip
     for one, influences in found:
         if influences:
             controller = f"_{named_file(one.controller)}" if len(plan.controllers) > 1 else ""
-            report.figure(f"tornado{motion}{controller}", figures.tornado(influences, one, by))
+            report.figure(
+                f"tornado{motion}{controller}", figures.tornado(influences, one, by),
+                f"Mean {ERRORS[by]} where each quantity is low and where it is high (lowest and highest sixth {on}), "
+                f"{one.controller}.",
+            )  # fmt: skip
     strongest = [influences[0].name for _, influences in found if influences and influences[0].is_significant]
     for name in dict.fromkeys([*(name for name in ("load",) if name in plan.units), *strongest]):
         drawn = figures.error_against(all_groups, name, plan.units[name], tolerance, by)
-        report.figure(f"error_against_{named_file(name)}{motion}", drawn)
+        caption = f"{ERRORS[by]} {on}, over {name}."
+        report.figure(f"error_against_{named_file(name)}{motion}", drawn, f"{caption[:1].upper()}{caption[1:]}")
 
 
 def _record(report: Report, result: SweepResult, recorded: Sequence[str]) -> None:
@@ -186,7 +199,7 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
         report.table(
             "machine",
             ("quantity", "unit", "value"),
-            [[name, plan.units[name], value] for name, value in machine.values.items()],
+            [[name, unit_of(plan.units[name]), value] for name, value in machine.values.items()],
             "What differs from the drive file",
         )
         with report.working("simulating"):
@@ -195,7 +208,13 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             repeated_rms, repeated_peak = np.asarray(costs.rms)[0], np.asarray(costs.peak)[0]
         rms, peak = run_errors(plan, simulated)
         report.values("run", status=simulated.status.message)
-        report.values("costs", rms_um=1e6 * float(repeated_rms), peak_um=1e6 * float(repeated_peak))
+        report.keep("costs", rms_um=1e6 * float(repeated_rms), peak_um=1e6 * float(repeated_peak))
+        is_ok = simulated.status.ok and bool(np.isnan(diverged_at[0]))
+        errors = " and ".join(
+            f"{name} {significant(1e6 * float(value))} um"
+            for name, value in ((ERRORS["rms"], repeated_rms), (ERRORS["peak"], repeated_peak))
+        )
+        report.result(f"Machine {number} of {folder.name}, {controller} on {motion}: {errors}.", good=is_ok)
         if not np.allclose([rms, peak], [repeated_rms, repeated_peak], rtol=ALIKE, atol=0.0, equal_nan=True):
             report.say(f"{_why_different(plan)}: RMS error {1e6 * rms:.4g} um, peak error {1e6 * peak:.4g} um.")
         stored = stored_errors(plan, folder / PARTS, number, controller, motion)
@@ -205,7 +224,7 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             repeated = [float(repeated_rms), float(repeated_peak), float(diverged_at[0])]
             alike = bool(np.array_equal(stored, repeated, equal_nan=True))
             report.keep("as_in_the_sweep", to_the_last_bit=alike)
-            report.print(
+            report.say(
                 "The errors are those of the sweep, to the last bit."
                 if alike
                 else "The errors are NOT those of the sweep: another processor, or another version of what it uses?"
@@ -215,4 +234,4 @@ def replay_machine(folder: Path, number: int, controller: str | None, motion: st
             # the gains are the axis's; observers and feed-forwards in a file take the file's own model
             tables = axis_tables(plan.axis_of(machine.drive))
             write_axis(report.out / "machine.toml", parse_axis(tables, f"machine {number}"))
-    return simulated.status.ok and bool(np.isnan(diverged_at[0]))
+    return is_ok

@@ -47,12 +47,15 @@ def print_varied(report: Report, plan: SweepPlan) -> None:
 
 
 def _range(interval: Interval, factor: float) -> str:
-    """A value between its ends, in another unit."""
-
-    def shown(value: float | None) -> str:
-        return "-" if value is None else significant(factor * value, RANGE_DIGITS)
-
-    return f"{shown(interval.value)} ({shown(interval.low)} to {shown(interval.high)})"
+    """A value between its ends, in another unit; an end is None where the machines are too few to say."""
+    value, low, high = (None if one is None else significant(factor * one, RANGE_DIGITS) for one in interval)
+    if low is not None and high is not None:
+        between = f"{low} to {high}"
+    elif low is not None or high is not None:
+        between = f"at most {high}" if low is None else f"at least {low}"
+    else:
+        between = "-"
+    return f"{value or '-'} ({between})"
 
 
 def _of_groups(
@@ -69,7 +72,8 @@ def verdict(found: Sequence[Group], tolerance: float | None, by: str) -> list[st
     lines = []
     for one in found:
         if tolerance is None:
-            text = f"{ERRORS[by]} of 95 % of the machines at most {_range(quantile(one.error(by), 0.95), 1e6)} um"
+            bound = _range(quantile(one.error(by), 0.95), 1e6)
+            text = f"95 % of the machines have a {ERRORS[by]} of at most {bound} um"
         else:
             misses = _range(exceedance(one.error(by), tolerance), 100)
             text = f"{misses} % of the machines miss the tolerance: {ERRORS[by]} beyond {1e6 * tolerance:g} um"

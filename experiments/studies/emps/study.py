@@ -13,6 +13,7 @@ from diffdrive.logs import Log
 from diffdrive.logs.checks.examine import examine
 from diffdrive.model.friction import steady_friction
 from diffdrive.model.parameters import Drive
+from experiments.reports import readable
 from experiments.reports.page.chart import Chart, Line, Panel
 from experiments.reports.report import Report
 from experiments.reports.theme import BLACK, DASHES, SKY, drawing, legend_below, new_figure, say, style
@@ -27,6 +28,7 @@ from tuning.identification.refinement import was_interrupted
 from tuning.identification.replay import ClosedLoopReplay, replay_closed_loop, replay_open_loop
 from tuning.store.store import Store
 
+FITTED_TO = "estimation"  # the file; others are held out
 PUBLISHED, IDENTIFIED, FITTED = "published", "prediction error", "closed-loop fit"
 BENCHMARK = {"mass": 95.1089, "viscous": 203.5034, "coulomb": 20.3935, "offset": -3.1648}  # SI, Janot et al. 2019
 BENCHMARK_ERRORS = {"estimation": 4.083, "pulses": 5.982}  # %, of the decimated force
@@ -71,6 +73,14 @@ def emps_study(report: Report, folder: Path | None) -> None:
     _unexplained(report, identified, log)
     force_figure(report, records["estimation"], {name: replays[name]["estimation"] for name in drives})
     _friction_figure(report, drives, log)
+    gaps = {file: replay.force_percent for file, replay in replays[IDENTIFIED].items()}
+    held_out = "".join(f", {gap:.3g} % on the file {file}, held out" for file, gap in gaps.items() if file != FITTED_TO)
+    report.result(
+        f"Identified from the {FITTED_TO} file alone, the model misses {gaps[FITTED_TO]:.3g} % of its force in closed "
+        f"loop (RMS){held_out}; at most {' and '.join(f'{BARS[file]:g}' for file in gaps)} % are required.",
+        f"{readable.titled(identified.adequacy.says)}.",
+        good=False if not report.data["emps_bars"]["met"] else None if identified.adequacy.has_structure else True,
+    )
 
 
 def identify_axis(report: Report, records: Records, starts: int = 6, store: Store | None = None) -> Identification:
@@ -152,8 +162,9 @@ def _parameter(drive: Drive, name: str) -> float | None:
 
 def force_figure(report: Report, record: emps.Record, replays: Mapping[str, ClosedLoopReplay]) -> None:
     """Save the figure of the forces."""
-    report.figure("emps", emps_figure(record, replays))
-    report.chart("emps", emps_chart(record, replays))
+    chart = emps_chart(record, replays)
+    report.figure("emps", emps_figure(record, replays), chart.caption)
+    report.chart("emps", chart)
 
 
 def emps_chart(record: emps.Record, replays: Mapping[str, ClosedLoopReplay]) -> Chart:
@@ -162,7 +173,8 @@ def emps_chart(record: emps.Record, replays: Mapping[str, ClosedLoopReplay]) -> 
     forces += [Line(name, one.time, one.command) for name, one in replays.items()]
     differences = [Line(name, one.time, one.command_error) for name, one in replays.items()]
     panels = [Panel("time, s", "force, N", forces), Panel("time, s", "difference, N", differences)]
-    return Chart("Force command over time, logged and simulated in closed loop, and their differences.", panels)
+    caption = "Force command of EMPS over time, logged and simulated in closed loop, and their differences: {}."
+    return Chart(caption.format(record.log.name), panels)
 
 
 @drawing
@@ -245,7 +257,6 @@ def _open_loop(report: Report, drives: Mapping[str, Drive], records: Records) ->
 
 def _unexplained(report: Report, identified: Identification, log: Log) -> None:
     """What the model does not explain."""
-    report.say(identified.adequacy.says)
     for first, second, correlation in identified.correlated:
         report.say(f"hardly distinguished: {first} and {second} (correlation {correlation:.3f})")
     ripples = ripple(log.position, identified.velocity[0], identified.missing_force[0])
@@ -275,7 +286,9 @@ def _friction_figure(report: Report, drives: Mapping[str, Drive], log: Log) -> N
     """The force that a constant velocity takes: friction less the constant force, which can hardly be told apart."""
     measured = stribeck_curves(log, drives[IDENTIFIED])
     constant_force = float(drives[IDENTIFIED].plant.constant_force)
-    report.figure("emps_friction", emps_friction_figure(measured, drives, constant_force))
+    report.figure("emps_friction", emps_friction_figure(measured, drives, constant_force), (
+        f"Force that a constant velocity takes, less the constant force: measured in {log.name}, and of each drive."
+    ))  # fmt: skip
 
 
 @drawing

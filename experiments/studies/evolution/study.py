@@ -20,9 +20,11 @@ from diffdrive.model.parameters import Drive, Sensor
 from diffdrive.model.quantity import Directional, quantities
 from diffdrive.motion.builders import staircase
 from diffdrive.numerics.arrays import as_arrays
+from experiments.reports.readable import significant, unit_of
 from experiments.reports.report import Report
 from experiments.reports.theme import drawing, legend_below, new_figure, plain_logarithmic, say, style
 from experiments.studies.emps import axis as emps
+from experiments.studies.evolution.chart import evolution_chart, excess
 from experiments.studies.evolution.two_stage import two_stage
 from tuning.identification.identify import COARSE_EVERY, COARSE_STEPS, start_points
 from tuning.identification.problem import COARSE_SUBSTEP, Innovations, sampling_of
@@ -45,7 +47,6 @@ MAX_STEPS = 30  # of its last search
 TOLERANCE = 1e-6
 MAX_RATIO = 20  # most simulations of evolution over those of the gradient search
 SPEEDS = (2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)  # m/s, of the synthetic log
-MIN_EXCESS = 1e-6  # so that the best can be drawn on a logarithmic axis
 LEVELS = (0.1, 0.01, 0.001)  # of the gradient search's cost, above it
 
 
@@ -134,10 +135,38 @@ def evolution_study(
             evolutions.append(evolve(costs, start, budget, seed=seed, progress=on_visit))
     report.values("problem", parameters=len(start), samples=len(case.log.time), population=population, starts=STARTS)
     report.values("compiling_before", **compiling)
-    _report_searches(report, descents, evolutions)
+    levels = _report_searches(report, descents, evolutions, case.log.name)
     best = min(descents, key=lambda descent: descent.cost)
     drive, unknowns = residuals.unpack(jnp.asarray(best.theta), question.problem)
     _compare_routes(report, case, with_delay(jax.tree.map(float, drive), float(unknowns.delay)))
+    report.result(in_words(levels, budget, runs))
+
+
+class LevelCost(NamedTuple):
+    """Median simulations and seconds until each search is so close to the best cost; None where it is not."""
+
+    level: float
+    gradient: tuple[float, float] | None
+    evolution: tuple[float, float] | None
+
+
+def in_words(levels: Sequence[LevelCost], budget: Budget, runs: int) -> str:
+    """What equal quality costs: at the closest level that both searches reach, else at the closest of the gradient."""
+    both = [one for one in levels if one.gradient and one.evolution]
+    found = min(both or levels, key=lambda one: one.level)
+    runs_in_words = f"median of {runs} runs" if runs > 1 else "1 run"
+    within = f"To come within {100 * found.level:g} % of the best cost ({runs_in_words})"
+    if found.gradient is None:
+        return f"{within}: half of the gradient searches or more do not."
+    gradient = f"{within}, the gradient search takes {_cost_in_words(found.gradient)}"
+    if found.evolution is None:
+        limit = f"{budget.simulations} simulations or {budget.seconds:g} s"
+        return f"{gradient}; differential evolution is not there after {limit}."
+    return f"{gradient}, differential evolution {_cost_in_words(found.evolution)}."
+
+
+def _cost_in_words(cost: tuple[float, float]) -> str:
+    return f"{significant(cost[0])} simulations and {significant(cost[1])} s"
 
 
 def _compare_routes(report: Report, case: EvolutionCase, by_gradient: Drive) -> None:
@@ -156,21 +185,26 @@ def _compare_routes(report: Report, case: EvolutionCase, by_gradient: Drive) -> 
     if case.truth is not None:
         drives["truth"] = case.truth
     named = [dict(_parameters(drive)) for drive in drives.values()]
-    rows = [[name, *(parameters[name] for parameters in named)] for name in named[0]]
+    rows: list[list[object]] = [[*key, *(parameters[key] for parameters in named)] for key in named[0]]
     gaps = [replay_closed_loop(drive, case.controller, case.log) for drive in drives.values()]
-    rows.append(["force gap in closed loop, %", *(replay.force_percent for replay in gaps)])
-    report.table("routes", ("SI units", *drives), rows, "What the two routes find")
+    rows.append(["force gap in closed loop", "%", *(replay.force_percent for replay in gaps)])
+    report.table(
+        "routes", ("parameter", "unit", *drives), rows,
+        f"Parameters by the two-stage route and by the gradient search, log {case.log.name} (+ forwards, - backwards)",
+    )  # fmt: skip
 
 
-def _parameters(drive: Drive) -> Iterator[tuple[str, float]]:
-    for path, _, value in quantities(drive.plant):
+def _parameters(drive: Drive) -> Iterator[tuple[tuple[str, str], float]]:
+    """Name and unit of what both routes fit, and its value."""
+    for path, declared, value in quantities(drive.plant):
         if path != "damping":
-            yield path, float(value)
-    for path, _, value in quantities(drive.friction):
+            yield (path, unit_of(declared.unit)), float(value)
+    for path, declared, value in quantities(drive.friction):
         if path not in ("load_coefficient", "initial_load", "stribeck_exponent"):  # which are not fitted
-            yield f"{path} +", float(value.positive)
-            yield f"{path} -", float(value.negative)
-    yield "delay, periods", drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
+            yield (f"{path} +", unit_of(declared.unit)), float(value.positive)
+            yield (f"{path} -", unit_of(declared.unit)), float(value.negative)
+    delay = drive.actuator.delay_samples + float(drive.actuator.delay_fraction or 0.0)
+    yield ("delay", "periods"), delay
 
 
 def with_delay(drive: Drive, delay: float) -> Drive:
@@ -229,7 +263,8 @@ def first_visit_below(history: list[HistoryEntry], cost: float) -> HistoryEntry 
     return next((visit for visit in history if visit.cost <= cost), None)
 
 
-def _report_searches(report: Report, descents: list[Descent], evolutions: list[Evolution]) -> None:
+def _report_searches(report: Report, descents: list[Descent], evolutions: list[Evolution], log: str) -> list[LevelCost]:
+    """The tables and the figure of the searches; what each level of quality costs."""
     best = min(descent.cost for descent in descents)
     rows = []
     for k, (descent, evolution) in enumerate(zip(descents, evolutions, strict=True)):
@@ -237,12 +272,13 @@ def _report_searches(report: Report, descents: list[Descent], evolutions: list[E
             last = search.history[-1]
             rows.append([f"{name} {k + 1}", last.simulations, last.seconds, last.cost / best, search.status])
     report.table("runs", ("search", "simulations", "s", "cost over best", "ended"), rows, "Each search to its end")
-    rows = []
+    rows, levels = [], list[LevelCost]()
     for level in LEVELS:
         cost = (1.0 + level) * best
         gradient_visits = [first_visit_below(search.history, cost) for search in descents]
         evolution_visits = [first_visit_below(search.history, cost) for search in evolutions]
         g, e = _median_visit(gradient_visits), _median_visit(evolution_visits)
+        levels.append(LevelCost(level, g, e))
         times = [e[k] / g[k] if g and e else None for k in (0, 1)]
         counts = [
             f"{sum(visit is not None for visit in visits)} of {len(visits)}"
@@ -251,14 +287,20 @@ def _report_searches(report: Report, descents: list[Descent], evolutions: list[E
         rows.append([f"{100 * level:g} %", counts[0], *(g or (None, None)), counts[1], *(e or (None, None)), *times])
     report.table(
         "equal_quality",
-        ("within", "gradient", "simulations", "s", "evolution", "simulations ", "s ", "x simulations", "x time"),
+        (
+            "within", "gradient", "simulations", "time, s", "evolution", "simulations, evolution", "time, evolution, s",
+            "ratio of simulations", "ratio of times",
+        ),
         rows,
-        "Until the cost is so close to the best gradient search's: how many got there, and the median of all "
-        "(- : half of them or more did not within the budget)",
-    )
+        "Until the cost is so close to the best gradient search's: how many get there, and the median of all "
+        "(-: half of them or more do not within the budget)",
+    )  # fmt: skip
     searches: dict[str, Sequence[Descent | Evolution]] = {"gradient": descents, "evolution": evolutions}
     report.data["history"] = {name: [search.history for search in runs] for name, runs in searches.items()}
-    report.figure("evolution", evolution_figure(report.data["history"], best))
+    caption = f"Cost of each search above the best cost, over simulations and over time, log {log}."
+    report.figure("evolution", evolution_figure(report.data["history"], best), caption)
+    report.chart("evolution", evolution_chart(report.data["history"], best, caption))
+    return levels
 
 
 @drawing
@@ -267,8 +309,8 @@ def evolution_figure(histories: dict[str, list[list[HistoryEntry]]], best: float
     figure, axes = new_figure(1, 2, height=3.0, share_x=False)
     for number, (name, runs) in enumerate(histories.items()):
         for k, history in enumerate(runs):
-            simulations, seconds, cost = np.array(history).T
-            above = 100.0 * (cost / best - 1.0 + MIN_EXCESS)
+            simulations, seconds, _ = np.array(history).T
+            above = excess(history, best)
             axes[0].loglog(simulations, above, label=None if k else name, **style(number))
             axes[1].loglog(seconds, above, **style(number))
     axes[0].set(
@@ -280,7 +322,10 @@ def evolution_figure(histories: dict[str, list[list[HistoryEntry]]], best: float
         plain_logarithmic(axis.yaxis)
     legend_below(figure)
     ends = {name: 100.0 * (min(history[-1][2] for history in runs) / best - 1.0) for name, runs in histories.items()}
-    say(figure, "Best end above the best cost: " + ", ".join(f"{end:.3g} % {name}" for name, end in ends.items()))
+    say(
+        figure,
+        "Best end above the best cost: " + ", ".join(f"{significant(end, 3)} % {name}" for name, end in ends.items()),
+    )
     return figure
 
 

@@ -1,8 +1,8 @@
 """`diffdrive log-study`: logs with a known fault, sound logs and pairs of logs, and what the checks say of them."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -86,6 +86,25 @@ def log_study(
         sound_logs(report, healthy, seed, axes, examine)
     with report.working("pairs of logs"):
         pairs_of_logs(report, pairs, seed, axes, together)
+    report.result(*in_words(report.data))
+
+
+def in_words(data: Mapping[str, Any]) -> list[str]:
+    """The totals of all parts, in sentences."""
+    faulty, sound, pairs = (data[name] for name in ("faulty_logs", "sound_logs", "pairs_of_logs"))
+    return [
+        f"Of {counted(faulty['logs'], 'log')} with a fault, the checks name the fault of {faulty['named']}, "
+        f"{faulty['named_first']} of them first; {counted(faulty['wrong_mends'], 'repair')} would be wrong.",
+        f"Of {counted(sound['logs'], 'log')} without a fault, {sound['fatal']} would be refused, and "
+        f"{sound['warning_at_worst']} are warned of.",
+        f"Of {counted(pairs['mixed'], 'pair')} of logs of two machines, {pairs['found']} are distinguished; of "
+        f"{counted(pairs['same'], 'pair')} of one machine, {pairs['false_alarms']} raise a false alarm.",
+    ]
+
+
+def counted(count: int, name: str) -> str:
+    """`1 log`, `2 logs`."""
+    return f"{count} {name}{'' if count == 1 else 's'}"
 
 
 def score_faulty_logs(

@@ -48,6 +48,17 @@ ASSUMPTIONS = (
     "Table 4 and Fig. 10: 28 mm/s over 28 mm, B_S not fed forward, and 1 N (RMS) of guide-friction ripple at a 1 mm "
     "period that no model knows; errors at constant speed. Plausible, not identified: the paper gives none of these.",
 )
+LOAD_DECIMALS = 3  # of an error of the load in N
+STATIC_DECIMALS = 4  # of a relative difference: the closed forms have five digits, and 87.3 N three
+COMPARED = ("PD", "PD+FC+LE")  # the paper's first controller and its own
+CAPTIONS = {
+    "figure_4": "Figure 4: Coulomb friction of screw and guide over the load, from the paper's parameters.",
+    "figure_5": "Figure 5: Stribeck and hysteresis curves of the guide under load, from the paper's parameters.",
+    "figure_7": "Figure 7: position, load and tracking errors of all controllers, simulated.",
+    "figure_8": "Figure 8: Stribeck and hysteresis curves of the drive without load, from the paper's parameters.",
+    "figure_9": "Figure 9: friction, as the observer estimates it, and tracking errors without load, simulated.",
+    "figure_10": "Figure 10: friction, its estimation error, tracking error and load under both loads, simulated.",
+}
 
 
 def static_checks(drive: Drive) -> list[tuple[str, float, float]]:
@@ -88,6 +99,10 @@ def table_1_rows(exact: dict[str, Run], quantised: dict[str, Run]) -> list[list[
             row += [1e6 * windowed.peak_error(*window), 1e6 * windowed.rms_error(*window)]
         rows.append(row)
     return rows
+
+
+def _beside_the_paper(name: str, run: Run) -> str:
+    return f"{name} leaves {1e6 * run.rms_error(*paper.AFTER_LOAD):.3g} um RMS (paper: {paper.TABLE_1[name][1]})"
 
 
 def load_estimates(runs: dict[str, Run], times: Sequence[float] = (3.0, 3.5, 3.9, 4.2)) -> list[list[object]]:
@@ -191,14 +206,15 @@ def table_4_rows(experiments: dict[float, dict[str, Run]]) -> list[list[object]]
 def reproduce(out: Path | None) -> Report:
     """Table 1, Figures 4, 5, 7, 8, 9 and 10 and Table 4, with every assumption stated; into `out` if given."""
     with Report("Lee et al. 2015, reproduced", out) as report:
-        report.conclude("The tables and figures of the paper, computed again; columns named paper are its own numbers.")
         for number, assumption in enumerate(ASSUMPTIONS, 1):
             report.say(f"Assumption {number}. {assumption}")
         exact, quantised = paper_drive(quantised=False), paper_drive()
-        report.table(
-            "static", ("quantity", "ours", "closed form", "difference"),
-            [[name, computed, expected, computed / expected - 1] for name, computed, expected in static_checks(exact)],
-            "Gains and static errors",
+        static = [(*row, row[1] / row[2] - 1.0) for row in static_checks(exact)]
+        columns: tuple[str, ...] = ("quantity", "ours", "closed form", "difference")
+        report.record("static", columns, static)
+        report.show(
+            "Gains and static errors; the difference is relative, and rounded as the closed form is",
+            columns, [[*row, round(difference, STATIC_DECIMALS)] for *row, difference in static], of="static",
         )  # fmt: skip
         with report.working(
             "simulating the canonical scenario, six controllers, with and without the scale's resolution"
@@ -221,25 +237,36 @@ def reproduce(out: Path | None) -> Report:
             table_1_rows(runs, coarse),
             "Table 1: tracking error, um, at 4 to 4.2 s (the last two columns: at 2 to 2.2 s)",
         )
-        report.table(
-            "load_estimates", ("N", "3.0 s", "3.5 s", "3.9 s", "4.2 s"), load_estimates(runs), "Estimated load, N"
+        report.conclude(
+            "The tables and figures of the paper, computed again; columns named paper are its own numbers.",
+            f"At the reversal under load {' and '.join(_beside_the_paper(name, runs[name]) for name in COMPARED)}.",
         )
+        rows = load_estimates(runs)
+        report.record("load_estimates", ("N", "3.0 s", "3.5 s", "3.9 s", "4.2 s"), rows)
+        columns = ("controller", *(f"at {time} s, N" for time in ("3.0", "3.5", "3.9", "4.2")))
+        report.show("Load as the observers estimate it, beside the true one", columns, rows, of="load_estimates")
         with report.working("convergence of eq. (20)"):
             rows = convergence_rows(exact)
         report.table(
-            "convergence", ("Q", "mm/s", "G", "time constant s"), rows, "Eq. (20): G, and how fast What settles"
-        )
+            "convergence", ("Q", "mm/s", "G", "time constant s"), rows,
+            "Eq. (20): G, and the time constant of the estimated load", infinite="never settles",
+        )  # fmt: skip
         with report.working("load steps at seven speeds"):
             rows = load_errors()
-        report.table(
-            "load_steps",
-            ("estimator", "scale", *(f"{1e3 * v:g} mm/s" for v in SPEEDS_STEPPED)),
-            rows,
-            "Largest |What - W|, N, 1 s after a step of 10 kN at constant speed (0.1 um scale: 1.37 % faster)",
+        columns = ("estimator", "scale", *(f"{1e3 * v:g} mm/s" for v in SPEEDS_STEPPED))
+        report.record("load_steps", columns, rows)
+        report.show(
+            "Largest error of the estimated load, N, 1 s after a step of 10 kN at constant speed (0.1 um scale: 1.37 % "
+            "faster)",
+            columns,
+            [[name, scale, *np.round(np.array(errors, float), LOAD_DECIMALS)] for name, scale, *errors in rows],
+            notes=["Rounded to 1 mN, a ten-millionth of the step: an estimator that has settled shows 0."],
+            of="load_steps",
         )
         report.table(
-            "figure_4", ("load N", "screw + N", "guide + N", "screw - N", "guide - N"), _figure_4_rows(exact.friction)
-        )
+            "figure_4", ("load N", "screw + N", "guide + N", "screw - N", "guide - N"), _figure_4_rows(exact.friction),
+            "Figure 4: Coulomb friction of screw and guide over the load, forwards (+) and backwards (-)",
+        )  # fmt: skip
         with report.working("the experiments of Figs. 9 and 10"):
             unloaded = unloaded_experiment(quantised)
             loaded = {kn: loaded_experiment(quantised, 1e3 * kn) for kn in paper.TABLE_4}
@@ -282,16 +309,15 @@ def _figures(
     guide = replace(friction, coulomb_screw=nothing)
     speeds = np.concatenate([-np.geomspace(0.05, 1e-5, 200), np.geomspace(1e-5, 0.05, 200)])
     curve = jax.jit(jax.vmap(lambda v, w, f: steady_friction(f, v, w), in_axes=(0, None, None)))
-    report.figure("figure_4", figure_4(np.array(_figure_4_rows(friction))))
+    report.figure("figure_4", figure_4(np.array(_figure_4_rows(friction))), CAPTIONS["figure_4"])
     stribeck = {w: np.asarray(curve(jnp.asarray(speeds), w, guide)) for w in LOADS}
     loops = {w: hysteresis(guide, w) for w in LOADS}
-    report.figure("figure_5", figure_5(speeds, stribeck, loops))
-    report.figure("figure_7", figure_7(scenario, runs))
-    report.figure(
-        "figure_8", figure_8(speeds, np.asarray(curve(jnp.asarray(speeds), 0.0, friction)), hysteresis(friction, 0.0))
-    )
-    report.figure("figure_9", figure_9(unloaded))
-    report.figure("figure_10", figure_10(loaded))
+    report.figure("figure_5", figure_5(speeds, stribeck, loops), CAPTIONS["figure_5"])
+    report.figure("figure_7", figure_7(scenario, runs), CAPTIONS["figure_7"])
+    steady = np.asarray(curve(jnp.asarray(speeds), 0.0, friction))
+    report.figure("figure_8", figure_8(speeds, steady, hysteresis(friction, 0.0)), CAPTIONS["figure_8"])
+    report.figure("figure_9", figure_9(unloaded), CAPTIONS["figure_9"])
+    report.figure("figure_10", figure_10(loaded), CAPTIONS["figure_10"])
     report.chart("figure_7_signals", errors_chart("Figure 7: tracking errors and load over time.", runs))
     report.chart("figure_9_signals", errors_chart("Figure 9: tracking errors over time, without load.", unloaded))
     for kilonewtons, runs_under in loaded.items():

@@ -99,6 +99,12 @@ def tuning_study(
     _true_load(report)
     _starts(report, problem, space, best, starts)
     _parameters(report, problem, evaluations)
+    found = float(tuned.point.objective)
+    report.result(
+        f"The gradient search ends at a mean RMS error of {found:.4g} um, {100.0 * (found / best - 1.0):.2g} % above "
+        f"the best that any search found; {report.data['random_starts']['within_5_percent_tuned']} of {starts} random "
+        "starts end within 5 % of it."
+    )
 
 
 def _race(
@@ -138,7 +144,9 @@ def _race(
     evaluated, derivatives_singly, seconds, _ = gradient[-1]
     report.values("gradient", status=tuned.status, starts=[float(start) for start in tuned.start_objectives],
                   evaluations=evaluated, derivatives_counted_singly=derivatives_singly, seconds=seconds)  # fmt: skip
-    report.figure("race", race_figure(gradient, results))
+    report.figure("race", race_figure(gradient, results), (
+        "Best objective that each search has found so far, over its evaluations and over time, on one ensemble."
+    ))  # fmt: skip
     return tuned, best
 
 
@@ -308,7 +316,9 @@ def _parameters(report: Report, bench: TuningBenchmark, evaluations: int) -> Non
         "CMA-ES s", "CMA-ES s in all",
     )  # fmt: skip
     report.table("parameters", columns, rows, "Cost to come within 5 % of the better of both")
-    report.figure("parameters", parameters_figure(rows))
+    report.figure("parameters", parameters_figure(rows), (
+        "What it costs to come within 5 % of the better of both searches, over the number of gains that are tuned."
+    ))  # fmt: skip
 
 
 @drawing

@@ -6,7 +6,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from diffdrive.effects.catalogue import EFFECTS
 from diffdrive.errors import ParameterError
@@ -143,6 +145,20 @@ def _rerun(report: Report, cases: Path, name: str, exclusions: dict[str, list[st
     return {case: answers[case] for case in exclusions if case in answers}  # not those of an earlier edition
 
 
+def _in_words(card: Mapping[str, Any]) -> str:
+    """The scores that matter most, each where there were machines for it."""
+    parts = [
+        f"{100.0 * card[name]:.0f} % of {count} {what}"
+        for name, count, what in (
+            ("named_clear", card["clear_single"], "clearly visible effects are named"),
+            ("false_alarms", card["none"], "machines without an effect raise a false alarm"),
+            ("confidently_wrong", card["cases"], "machines have a wrong cause of which the diagnosis is sure"),
+        )
+        if count
+    ]
+    return f"{'; '.join(parts)}."
+
+
 def _report_scores(report: Report, cases: Path, key: Key, workers: int, twice: bool) -> dict[str, object]:
     assert report.out is not None
     answers = read_answers(report.out / "answers")
@@ -181,6 +197,7 @@ def _report_scores(report: Report, cases: Path, key: Key, workers: int, twice: b
         "Answers",
     )
     report.table("reliability", ("confidence", "causes", "right"), card["reliability"], "What the confidences meant")
+    report.result(_in_words(card))
     for name in ("confusion", "intervals", "rows", "without_ratio"):
         report.data[name] = card[name]
     return card

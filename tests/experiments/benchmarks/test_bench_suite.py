@@ -74,6 +74,15 @@ def test_a_bar_is_reached_by_numbers_alone(name, value, says):
     assert suite._verdict(name, value) == says
 
 
+def test_the_result_counts_bars_and_names_those_that_are_missed():
+    assert suite.in_words({}, ["accuracy"]) == ("Measured: accuracy, of which no figure has a bar to reach.", None)
+    measured = {"dearest effect": 1.25, "warm start, s": 4.0, "off_nm": 3.0}
+    assert suite.in_words(measured, []) == (
+        "1 of 2 figures reach their bar; not warm start, s: 4, should be at most 3.0.", False
+    )  # fmt: skip
+    assert suite.in_words({"dearest effect": 1.25}, []) == ("1 of 1 figures reach their bar.", True)
+
+
 def test_a_part_that_there_is_not_is_refused():
     result = CliRunner().invoke(app, ["bench", "--part", "speed"])
     assert isinstance(result.exception, ParameterError)

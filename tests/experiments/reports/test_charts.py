@@ -9,6 +9,7 @@ from experiments.reports.charts.circle import circle_chart
 from experiments.reports.charts.encoders import encoders_chart
 from experiments.reports.charts.missing_force import of_comparison
 from experiments.reports.charts.signals import errors_chart
+from experiments.reports.charts.stretches import PIXELS, as_lines
 from experiments.reports.page.plotly import figure
 from tests.support.figure_examples import run_of, two_encoders
 from tests.support.sound_log import SOUND
@@ -26,6 +27,19 @@ def test_the_circle_has_a_panel_for_each_sense_and_a_line_for_each_machine():
     assert lines_of(chart) == [("radius, counter-clockwise, µm", names), ("radius, clockwise, µm", names)]
     np.testing.assert_allclose(chart.panels[1].lines[0].y, [4.0, 5.0, 6.0, 7.0])
     np.testing.assert_allclose(chart.panels[0].lines[1].x, [0.0, 90.0, 180.0, 270.0])
+
+
+def test_what_is_known_now_and_then_is_drawn_as_lines_that_are_seen():
+    time, force = np.arange(2000) / 1000.0, np.sin(np.arange(2000.0))
+    flickering = np.where(np.arange(2000) % 2, force, np.nan)  # each second sample: a blank that nobody sees
+    at, line = as_lines(time, flickering, 2.0)
+    np.testing.assert_array_equal(line, [*force[1::2], np.nan])
+    np.testing.assert_array_equal(at, [*time[1::2], np.nan])
+    lone = np.where(np.isin(np.arange(2000), (500, *range(800, 1200))), force, np.nan)
+    at, line = as_lines(time, lone, 2.0)
+    np.testing.assert_array_equal(line, [force[500], force[500], np.nan, *force[800:1200], np.nan])
+    assert at[1] - at[0] == pytest.approx(2.0 / PIXELS)
+    assert as_lines(time, np.full(2000, np.nan), 2.0)[1].tolist() == pytest.approx([np.nan], nan_ok=True)
 
 
 def test_before_and_after_lie_over_each_other_by_direction():

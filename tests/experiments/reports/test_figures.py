@@ -66,6 +66,17 @@ def test_every_figure_is_looked_at_here():
     assert drawing_functions() == set(theme.DRAWINGS) == set(FIGURES)
 
 
+def test_every_figure_of_the_package_has_a_caption():
+    calls = [
+        (path, call)
+        for path in (PACKAGE / "experiments").rglob("*.py")
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(call, ast.Call) and ast.unparse(call.func) in ("report.figure", "writer.figure")
+    ]
+    assert len(calls) > 20
+    assert [f"{path.name}:{call.lineno}" for path, call in calls if len(call.args) < 3] == []
+
+
 def test_every_axis_says_what_it_is_and_in_which_unit(figure):
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):

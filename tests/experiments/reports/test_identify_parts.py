@@ -5,12 +5,13 @@ from types import SimpleNamespace
 
 import jax
 import numpy as np
+import pytest
 
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.library import PAPER_DRIVE
 from diffdrive.loop.simulate import simulate_loop
 from experiments.reports.identification.forest import forest
-from experiments.reports.identification.identification import _hardly_determined
+from experiments.reports.identification.identification import _hardly_determined, judged
 from experiments.studies.emps import axis as emps
 from experiments.studies.recovery.excitation import concatenate, resting, strokes
 from tests.support.sound_log import RATE, axis_of, simulate_log
@@ -22,6 +23,14 @@ TRUE = axis_of()
 # distance m, speed m/s, acceleration m/s^2, jerk m/s^3
 STROKES = ((2e-4, 1.5e-3, 0.05, 20.0), (1e-3, 3e-3, 0.3, 30.0), (2e-3, 2e-2, 0.5, 50.0), (4e-3, 0.08, 2.0, 200.0))
 MOTION = concatenate([resting(0.05, RATE), *strokes(STROKES, RATE), resting(0.05, RATE)], "reversals")
+
+
+@pytest.mark.parametrize(
+    ("ok", "incomplete", "good"), [(True, False, True), (True, True, None), (False, False, False), (False, True, False)]
+)
+def test_a_page_is_green_only_where_the_model_is_complete(ok, incomplete, good):
+    fit = SimpleNamespace(adequacy=SimpleNamespace(has_structure=incomplete))
+    assert judged(SimpleNamespace(status=SimpleNamespace(ok=ok), fit=fit)) is good
 
 
 def test_friction_along_a_motion_is_that_of_the_simulation():

@@ -17,7 +17,8 @@ from experiments.reports.report import Report
     ("value", "shown"),
     [
         (0.0, "0"), (1.0, "1"), (10000.0, "10000"), (12345.6, "12.35e3"), (33.5e6, "33.5e6"), (2.887e-8, "28.87e-9"),
-        (0.03982, "0.03982"), (9999.96, "10e3"), (-0.26756, "-0.2676"), (0.00099987, "999.9e-6"), (math.inf, "inf"),
+        (0.03982, "0.03982"), (9999.96, "10e3"), (-0.26756, "-0.2676"), (0.00099987, "999.9e-6"),
+        (math.inf, "infinite"), (-math.inf, "-infinite"), (math.nan, "-"),
         (-0.0, "0"),
     ],
 )  # fmt: skip
@@ -34,6 +35,17 @@ def test_a_number_that_is_printed_is_the_number(value, digits):
 def test_an_interval_shows_however_narrow_it_is():
     assert readable.interval(33497500.0, 33453800.0, 33541100.0) == ("33.498e6", "33.454e6 to 33.541e6")
     assert readable.interval(99.9993, 99.9844, 100.014) == ("99.999", "99.984 to 100.014")
+
+
+def test_an_interval_without_an_end_is_in_words():
+    assert readable.interval(5.0, -100.0, math.inf) == ("5", "at least -100")
+    assert readable.interval(5.0, -math.inf, 7.0) == ("5", "at most 7")
+    assert readable.interval(5.0, -math.inf, math.inf) == ("5", "without limits")
+
+
+def test_what_infinity_means_stands_in_a_column_of_numbers():
+    [block] = readable.table(("loop", "gain, dB"), [["model", math.inf], ["measured", 6.02]], 80, infinite="no limit")
+    assert block[-2:] == ["model     no limit", "measured      6.02"]
 
 
 @pytest.mark.parametrize(

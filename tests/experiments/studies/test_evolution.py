@@ -11,10 +11,12 @@ from diffdrive.model.quantity import Directional
 from experiments.reports.report import Report
 from experiments.studies.emps import axis as emps
 from experiments.studies.evolution.study import (
+    LevelCost,
     _median_visit,
     emps_case,
     evolution_study,
     first_visit_below,
+    in_words,
     synthetic_case,
     with_delay,
 )
@@ -111,6 +113,20 @@ def test_levels_and_medians_count_those_that_never_got_there():
     assert _median_visit([history[0], None, None]) is None
 
 
+def test_the_result_is_of_the_closest_level_that_both_reach_else_of_the_gradient_search():
+    budget = Budget(2000, 60.0)
+    coarse, fine = LevelCost(0.1, (100, 1.0), (900, 9.0)), LevelCost(0.001, (200, 2.5), None)
+    assert in_words([coarse, fine], budget, 3) == (
+        "To come within 10 % of the best cost (median of 3 runs), the gradient search takes 100 simulations and 1 s, "
+        "differential evolution 900 simulations and 9 s."
+    )
+    assert in_words([fine], budget, 1) == (
+        "To come within 0.1 % of the best cost (1 run), the gradient search takes 200 simulations and 2.5 s; "
+        "differential evolution is not there after 2000 simulations or 60 s."
+    )
+    assert "half of the gradient searches or more do not" in in_words([LevelCost(0.1, None, None)], budget, 1)
+
+
 @pytest.mark.parametrize(
     ("delay", "whole", "fraction"), [(-0.4, 0, None), (0.3, 0, 0.3), (1.25, 1, 0.25), (2.0, 2, None)]
 )
@@ -129,9 +145,13 @@ def test_the_study_writes_what_it_compares(tmp_path):
     assert [row[1] for row in rows] == ["1 of 1"] * 3
     assert written["figures"] == ["evolution.png"]
     assert set(written["history"]) == {"gradient", "evolution"}
-    assert written["tables"]["routes"]["columns"] == ["SI units", "starting drive", "two stages", "gradient", "truth"]
-    gaps = written["tables"]["routes"]["rows"][-1]
-    assert gaps[3] < gaps[2] < gaps[1]
+    columns = ["parameter", "unit", "starting drive", "two stages", "gradient", "truth"]
+    assert written["tables"]["routes"]["columns"] == columns
+    starting, staged, by_gradient, _ = written["tables"]["routes"]["rows"][-1][2:]
+    assert by_gradient < staged < starting
+    assert written["notes"][-1].startswith("To come within 0.1 % of the best cost (1 run), the gradient search takes ")
+    assert report.page.conclusions == written["notes"][-1:]
+    assert len(report.page.charts["evolution"].panels) == 2
 
 
 def test_bad_requests_are_refused(tmp_path):

@@ -188,6 +188,8 @@ def test_the_emps_study_meets_its_bars(tmp_path):
         emps_study.emps_study(report, None)
     written = json.loads((tmp_path / "result.json").read_text())
     assert written["emps_bars"]["met"]
+    assert report.page.good is None  # the bars are met, and a force is missing
+    assert report.page.conclusions[0].startswith("Identified from the estimation file alone, the model misses ")
     for name, _, _, difference in written["tables"]["emps_inverse_dynamics"]["rows"]:
         assert abs(difference) < 0.05, name
     gaps = {(row[0], row[1]): row[2] for row in written["tables"]["emps"]["rows"]}

@@ -213,6 +213,8 @@ def test_the_report_counts(tmp_path):
     assert sum(row[1] for row in kinds) == data["faulty_logs"]["logs"] == len(data["tables"]["cases"]["rows"])
     assert sum(row[2] for row in kinds) == data["faulty_logs"]["named_first"] == 1
     assert data["faulty_logs"]["wrong_mends"] == 0
+    assert data["notes"][-3:] == report.page.conclusions
+    assert data["notes"][-3].endswith(" of them first; 0 repairs would be wrong.")
     assert data["sound_logs"]["warning_at_worst"] == 4
     assert data["sound_logs"]["nothing"] == 0
     pairs = data["tables"]["pairs"]["rows"]

@@ -71,4 +71,15 @@
   };
   charts.forEach(draw);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => charts.forEach(draw));
+  // at this event style and widths are the paper's; a browser without it prints what it has drawn, made smaller
+  matchMedia("print").addEventListener("change", ({matches}) => {
+    root.classList.toggle("paper", matches);
+    charts.forEach(chart => {
+      const {layout} = chart.spec, width = chart.plot.clientWidth;
+      if (!width) return;  // its picture is printed
+      if (matches) layout.width = width; else delete layout.width;
+      layout.autosize = !matches;
+      draw(chart);
+    });
+  });
 })();

@@ -11,6 +11,7 @@ from diffdrive.logs.checks.encoders import two_encoders
 
 pytest.importorskip("numba", reason="the simulated axis is compiled")
 from tests.support.cnc_axis import CncAxis, log_of, strokes
+from tests.support.sound_log import SOUND
 
 AXIS = CncAxis(per_turn=3e-6, linear=20e-6, drift=1e-6 / 60, delay=0.3e-3)
 
@@ -156,3 +157,13 @@ def test_intervals_hold_the_truth_as_often_as_they_say(cases, least):
         false_backlashes += axis.backlash == 0.0 and found.has_backlash
     assert min(held.values()) >= least, held
     assert false_backlashes <= 1
+
+
+def test_a_motor_that_is_a_copy_of_the_table_differs_by_nothing_and_not_by_rounding():
+    rng = np.random.default_rng(4)
+    shaken = SOUND.position * (1.0 + np.finfo(float).eps * rng.integers(-1, 2, SOUND.position.size))
+    found = dd.compare_encoders(dataclasses.replace(SOUND, motor_position=shaken))
+    assert {name: tuple(one) for name, one, *_ in found.rows() if any(one)} == {}
+    turned = np.where(np.gradient(SOUND.position) < 0.0, -1.0, 1.0)
+    real = dd.compare_encoders(dataclasses.replace(SOUND, motor_position=shaken + 1e-12 * turned))
+    assert real.reversal_error.value == pytest.approx(2e-12, rel=1e-3)  # a picometre is no rounding

@@ -107,6 +107,33 @@ def test_paper_gets_the_still_pictures(browser, written):
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
 
 
+PRINTED = """
+window.printed = [];
+matchMedia("print").addEventListener("change", () => window.printed.push([...document.querySelectorAll(".plot")]
+  .filter(one => one.clientWidth).map(one => [
+    one.clientWidth, one.querySelector("svg.main-svg").getBoundingClientRect().width,
+    getComputedStyle(one.querySelector("text")).fill,
+  ])));
+"""
+
+
+@pytest.mark.parametrize("paper", [(8.27, 11.69), (8.5, 11.0)], ids=["A4", "Letter"])
+def test_a_chart_without_a_picture_fits_the_paper_in_its_ink_and_the_screen_after(browser, written, paper):
+    opened(browser, written("plain words"), 1280, "dark")
+    browser.execute_script(PRINTED)
+    browser.execute_cdp_cmd("Page.printToPDF", {"paperWidth": paper[0], "paperHeight": paper[1]})
+    browser.execute_async_script("setTimeout(arguments[0], 300)")
+    [on_paper], on_screen = browser.execute_script("return window.printed")  # the other chart has a picture
+    width = 96.0 * (paper[0] - 2 * 15 / 25.4)  # px, within the margins of 15 mm
+    assert on_paper[:2] == pytest.approx([width, width], abs=2.0)
+    assert on_paper[2] == "rgb(0, 0, 0)"
+    for there, drawn, fill in on_screen:
+        assert drawn == pytest.approx(there, abs=1.0)
+        assert there > width
+        assert fill != "rgb(0, 0, 0)"
+    assert complaints(browser) == []
+
+
 def test_the_page_is_valid_html(page):
     assert invalid(page) == []
 
@@ -119,6 +146,7 @@ def test_the_page_of_a_command_fits_each_screen_and_is_valid(browser, name, tmp_
     done = run(*(COMMANDS | OTHERS)[name], "--out", tmp_path / "out")
     assert done.exit_code in (0, 3), done.output  # 3: what was asked was answered with no
     page = tmp_path / "out" / "report.html"
+    assert "<p>Done.</p>" not in page.read_text(encoding="utf-8")  # each says what it found
     for width in WIDTHS:
         for scheme in ("light", "dark"):
             opened(browser, page, width, scheme)

@@ -21,7 +21,7 @@ from experiments.reports.page.chart import MOST_POINTS, Chart, Line, Panel, thin
 from experiments.reports.page.glossary import FILE, terms_in
 from experiments.reports.page.plotly import figure, legend
 from experiments.reports.page.sections import SECTIONS, page_section
-from experiments.reports.page.table import MOST_ROWS
+from experiments.reports.page.table import MOST_ROWS, page_table
 from experiments.reports.theme import new_figure
 from tests.support import glossary
 from tests.support.command_pages import COMMANDS, prepare
@@ -122,10 +122,34 @@ def test_numbers_within_numbers_have_a_row_each(tmp_path):
     with quiet("numbers", tmp_path) as report:
         report.keep("result", rms_um=1.5, differences={"force": 1e-12, "load": 2.0}, lost={})
         report.keep("nothing", lost={})
+        report.keep("history", search=[[[1, 0.5, 2.0], [2, 1.0, 1.0]]])  # a series is for programs
     page = assert_keeps_the_rules(tmp_path / "report.html")
     assert [one["text"] for one in page.all("td")] == [
         "RMS", "1.5", "µm", "differences: force", "1e-12", "", "differences: load", "2", "",
     ]  # fmt: skip
+
+
+def test_what_is_words_alone_is_no_number(tmp_path):
+    with quiet("words", tmp_path) as report:
+        report.keep("run", status="ok")
+        report.keep("written", file="a.toml", files=["a.toml", "b.csv"])
+        report.keep("again", as_before=True)
+    page = assert_keeps_the_rules(tmp_path / "report.html")
+    assert [one["text"] for one in page.all("td")] == ["as before", "yes"]
+
+
+def test_short_words_of_a_table_stay_in_a_line_and_sentences_get_room():
+    cells = ["RMS error", "cascade without integral", "the table moves at one speed, most of the time"]
+    table = page_table("widths", ("short", "phrase", "sentence", "number"), [[*cells, 1.0]])
+    assert (table.words, table.phrases, table.wide) == ([1, 2, 3], [2, 3], [3])
+
+
+def test_few_points_are_seen_as_symbols_and_ticks_have_no_prefix_of_a_unit():
+    points = {n: Line(f"{n}", np.arange(n), np.arange(n), "points") for n in (5, 5000)}
+    drawn = figure(Chart("points", [Panel("x", "force, N", list(points.values()))]))
+    few, many = (trace["marker"]["size"] for trace in drawn["data"])
+    assert few > 2 * many
+    assert drawn["layout"]["yaxis"]["exponentformat"] == "power"
 
 
 def test_pictures_beyond_what_a_page_may_hold_are_linked(tmp_path, monkeypatch):
@@ -230,7 +254,7 @@ def test_a_result_in_python_has_the_page_that_the_command_writes(tmp_path):
     lap = dd.motion.triangular(speed=0.010, stroke=0.001, rounding=0.05, duration=0.2, rate=axis.rate)
     experiments.report(dd.simulate(axis, lap), tmp_path)
     page = assert_keeps_the_rules(tmp_path / "report.html")
-    assert "Signals of the run over time" in page.readable()
+    assert "Signals of the simulated run over time" in page.readable()
     [drawn] = [json.loads(one["text"]) for one in page.all("script") if "type" in one["attributes"]]
     assert {trace["name"] for trace in drawn["data"]} >= {"reference", "position", "command", "load"}
     assert "Command" not in [one["text"] for one in page.all("dt")]
