@@ -34,6 +34,10 @@ from tuning.store.folder import FolderStore
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+BY_ITSELF = (
+    "Before and after are each identified by itself. A change is estimated with what has not changed the same on both "
+    "sides, which is known better, so it need not be the difference of the two."
+)
 FEW_DECADES = 2  # of changes, over the smallest that would have been found
 PARTS = "comparison.parts"  # finished searches, from which the same command continues
 
@@ -109,6 +113,7 @@ def report_comparison_of_logs(report: Report, result: ComparisonResult) -> None:
         "Before and after, with the 95 % interval of the change",
         ("compared", "unit", "before", "after", "change", "95 % interval", "changed"),
         [_row(one) for one in result.changes],
+        notes=[BY_ITSELF],
         of="changes",
     )
     for note in result.notes:

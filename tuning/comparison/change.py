@@ -43,6 +43,13 @@ class Change(NamedTuple):
         return sized(self.change, self.factor, self.shown_unit)
 
     @property
+    def changed_to(self) -> float:
+        """The value before, changed by as much. `after` is by itself: with the others unchanged the change is another,
+        and known better, so it may even go the other way than from `before` to `after`.
+        """
+        return self.before * (1.0 + self.change.value) if self.is_relative else self.before + self.change.value
+
+    @property
     def least(self) -> str:
         """The smallest change that would have been found, with its unit."""
         return "" if self.smallest is None else f"{self.factor * self.smallest:.2g} {self.shown_unit}"
@@ -85,6 +92,6 @@ def sentence(changes: list[Change], more: str = "") -> str:
         unit, factor = f" {first.shown_unit}", first.factor
     was, now = (
         " and ".join(f"{factor * value:.4g}" for value in values)
-        for values in zip(*((one.before, one.after) for one in changes), strict=True)
+        for values in zip(*((one.before, one.changed_to) for one in changes), strict=True)
     )
     return f"{first.label} {' and '.join(parts)}, from {was} to {now}{unit}{more}"

@@ -7,6 +7,7 @@ import pytest
 
 from diffdrive.logs.encoders.regression import Estimate
 from diffdrive.model.presets import paper_drive
+from tuning.comparison.change import Change, sentence
 from tuning.comparison.changes import Difference, Estimates, Interval
 from tuning.comparison.controller import ControllerChanges, controller_changes
 from tuning.comparison.encoders import EncoderChanges, encoder_changes
@@ -78,6 +79,16 @@ def test_what_may_be_of_either_sign_changes_by_its_unit():
     (found,) = findings_of(machine(offset=-8.0), NO_GAINS, NO_SCREW)
     assert found.sentence.startswith("the constant force fell by 8.00 N (")
     assert found.sentence.endswith("from 5 to -3 N")
+
+
+def test_a_sentence_ends_where_its_change_leads_whatever_each_side_is_by_itself():
+    """With the other parameters unchanged the gap fell, though by itself each side's estimate rose."""
+    gap = Change(
+        "friction.breakaway_gap", "the breakaway gap", "N", 30.0, 31.0, Interval(-0.5, -0.6, -0.4), False, True
+    )
+    assert sentence([gap]) == "the breakaway gap fell by 0.50 N (0.40 to 0.60), from 30 to 29.5 N"
+    share = gap._replace(change=Interval(-0.1, -0.11, -0.09), is_relative=True)
+    assert sentence([share]).endswith("from 30 to 27 N")
 
 
 def test_no_change_has_no_sentence_but_a_limit():
