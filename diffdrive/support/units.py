@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 # pint alone reads "kg" as 1 kg, "100,5 kg" as 1005 kg and "100 200 kg" as 20000 kg
 _NUMBER_AND_UNIT = re.compile(
-    r"\s*(?P<number>[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)\s*(?P<unit>|(?!.*\s\d)[^\d\s.,*+-][^,]*)"
+    r"\s*(?P<number>[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)\s*(?P<unit>|(1(?=/))?(?!.*\s\d)[^\d\s.,*+-][^,]*)"
 )
 # an M for an m; nobody writes a million of these so
 _SLIPS = {"megameter": ("Mm", "mm", "1000 km"), "megasecond": ("Ms", "ms", "1e6 s"), "megagram": ("Mg", "mg", "1 t")}
@@ -54,7 +54,8 @@ def to_si(text: str, unit: str) -> float:
         raise ValueError(f"cannot read '{quoted}' as one number and its unit; write for example {example}")
     try:
         # apart: pint before 0.26 multiplies a number by decibels in an expression only where a registry allows it
-        quantity = _registry().Quantity(float(split["number"]), split["unit"])
+        per = "1" if split["unit"].startswith("/") else ""
+        quantity = _registry().Quantity(float(split["number"]), per + split["unit"])
         units = [name for name, _ in quantity.unit_items()]
         given, wanted = _plain_to_pint(quantity), _plain_to_pint(_registry().Quantity(1.0, _pint_unit(unit)))
         if unit == "1":
