@@ -38,6 +38,7 @@ BY_ITSELF = (
     "Before and after are each identified by itself. A change is estimated with what has not changed the same on both "
     "sides, which is known better, so it need not be the difference of the two."
 )
+LONG = 1e3  # numbers from which on are written with an exponent: beside their neighbours there is room for no more
 FEW_DECADES = 2  # of changes, over the smallest that would have been found
 PARTS = "comparison.parts"  # finished searches, from which the same command continues
 
@@ -143,6 +144,10 @@ def _row(one: Change) -> list[object]:
     ]  # fmt: skip
 
 
+def _called(one: Change) -> str:
+    return f"{one.label.removeprefix('the ')} {one.direction}".strip()
+
+
 @drawing
 def changes_figure(changes: Sequence[Change]) -> "Figure":
     """Each change with its interval, over the smallest change that would have been found: beyond 1 it shows."""
@@ -171,16 +176,16 @@ def changes_figure(changes: Sequence[Change]) -> "Figure":
     marks = [1.0, 2.0, *(digit * 10.0**k for k in range(decades) for digit in digits)]
     ticks = sorted({0.0, *marks, *(-mark for mark in marks)})
     left, right = axis.get_xlim()
-    axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.set_xticks(ticks, [f"{tick:g}" if abs(tick) < LONG else f"{tick:.0e}".replace("e+0", "e") for tick in ticks])
     axis.set_xlim(left, right)
     axis.set(ylim=(-0.6, len(rows) - 0.4), xlabel="change over the smallest that would have been found (ratio)")
-    axis.set_yticks(range(len(rows)), [one.path for one in rows])
+    axis.set_yticks(range(len(rows)), [_called(one) for one in rows])
     legend_below(figure)
     changed = [one for one in rows if one.has_changed]
     first = max(changed, key=lambda one: abs(one.change[0]) / (one.smallest or 1.0), default=None)
     finding = f"{len(changed)} of {len(rows)} quantities have changed"
     if first is not None:
         text, _ = readable.interval(*(first.factor * number for number in first.change))
-        finding += f", most clearly {first.path}: {text} {readable.readable(first.shown_unit)}"
+        finding += f", most clearly the {_called(first)}: {text} {readable.readable(first.shown_unit)}"
     say(figure, finding)
     return figure
