@@ -47,10 +47,13 @@ def test_processes_end_with_the_one_that_asked(tmp_path, which):
         [sys.executable, str(tmp_path / "asks.py")], env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
     ) as process:  # fmt: skip
-        begun = [int(one) for one in process.stdout.readline().split()]
-        assert len(begun) == 2
-        process.send_signal(which)
-        assert process.wait(10.0)
+        try:
+            begun = [int(one) for one in process.stdout.readline().split()]
+            assert len(begun) == 2
+            process.send_signal(which)
+            assert process.wait(10.0)
+        finally:
+            process.kill()  # else a failure waits for hours of computing
     until = time.monotonic() + 5.0
     while any(map(alive, begun)) and time.monotonic() < until:
         time.sleep(0.05)
