@@ -219,13 +219,15 @@ class Report:
         sentences: list[str] = []
         later: list[tuple[Sequence[str], str]] = []
         self._later = later
+        notes: list[str] = self.data.setdefault("notes", [])
+        first = len(notes)
         try:
             yield sentences.append
         finally:
             self._later = None
             self.conclude(*sentences)
+            notes[first:first] = sentences
             for sentence in sentences:
-                self.data.setdefault("notes", []).append(sentence)
                 self._print(["", *self._prose(sentence)], style="bold")
             for lines, style in later:
                 self._print(lines, style)

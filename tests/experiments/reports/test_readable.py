@@ -104,6 +104,13 @@ def test_the_result_comes_first_and_nothing_is_lost_where_none_comes():
     text = printed(80, work)
     assert text.index("The result.") < text.index("Basis: RMS 0.5 µm")
 
+    report = Report("title", None, Console(file=io.StringIO()))
+    report.say("Before.")
+    with report.result_first() as result:
+        report.say("How it came about.")
+        result("The result.")
+    assert report.data["notes"] == ["Before.", "The result.", "How it came about."]
+
     def failing(report):
         with report.result_first():
             report.values("basis", rms_um=0.5)

@@ -205,7 +205,7 @@ def test_a_log_with_the_servo_off_is_told_not_to_move(tmp_path):
     assert told["causes"] == []
     assert told["gap"]["force_rms_N"] < 1e-9 < told["gap"]["noise_floor_force_N"]
     assert [one["shrink"] for one in told["ladder"]] == [0.0, 0.0]
-    assert "travels 0 µm" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "travels 0\N{NO-BREAK SPACE}µm" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.long
