@@ -113,7 +113,8 @@ def _least_left(log: Log, part: slice) -> list[tuple[int, int, float, float]]:
     """Samples, delay, gain and what is left of those that leave least before any law binds.
 
     Several may leave the same: with coefficients that are free, the integral of a velocity over two samples has the
-    position between. What differs by less than the scatter of a root mean square of so many rows is the same.
+    position between. What differs by less than the scatter of a root mean square of so many rows is the same, and so is
+    what is no more than the velocity's rounding makes: of a log without noise nothing else is left.
     """
     longest, (first, last) = SAMPLES[-1], (DELAYS[0], DELAYS[-1])
     rows = slice(part.start - first + longest, part.stop - last - AROUND)
@@ -129,7 +130,8 @@ def _least_left(log: Log, part: slice) -> list[tuple[int, int, float, float]]:
         gains = np.linalg.lstsq(columns, commands)[0][LAG]
         tried += [(samples, delay, *pair) for delay, *pair in zip(DELAYS, gains.tolist(), left.tolist(), strict=True)]
     least = min(left for *_, left in tried) * (1.0 + SAME / np.sqrt(2.0 * len(commands)))
-    return [one for one in tried if one[-1] <= least]
+    rounding = float(np.finfo(float).eps * np.max(np.abs(log.position[part]))) * log.rate
+    return [one for one in tried if one[-1] <= max(least, rounding * abs(one[2]) / one[0])]
 
 
 def _snapshots(log: Log, part: slice) -> _Choice:

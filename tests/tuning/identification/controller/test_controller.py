@@ -15,6 +15,7 @@ from diffdrive.logs import Log
 from diffdrive.model.trace import Trace
 from experiments.studies.controller_study import NaiveCascade, study
 from experiments.studies.data_folder import find_data
+from tests.support.sound_log import axis_of, simulate_log, two_sines
 from tuning.identification.controller.findings import controller_findings
 from tuning.identification.controller.law import Law, Reading, coefficients
 from tuning.identification.controller.moments import moments
@@ -80,6 +81,16 @@ def test_gains_are_exact_where_every_sample_is_logged(every_sample, name):
     cascade, estimate = every_sample
     assert estimate.logs[0].reading is Reading.EVERY_SAMPLE
     assert abs(relative(estimate, cascade, name)) < 2e-3
+
+
+@pytest.mark.parametrize("seed", [10, 11])
+def test_of_a_command_without_noise_no_rounding_chooses_the_reading(seed):
+    """With free coefficients two samples explain what one does, and rounding alone says which of them leaves less."""
+    found = fit_log(simulate_log(axis_of(), two_sines(4.0), seed=seed))
+    assert found.reading is Reading.EVERY_SAMPLE
+    assert found.unexplained < 1e-13
+    assert np.exp(found.law.log_gain) == pytest.approx(12_170.0, rel=1e-9)
+    assert np.exp(found.law.log_kp) == pytest.approx(3.99e6 / 12_170.0, rel=1e-9)
 
 
 def test_acceleration_feed_forward_is_found_where_every_sample_is_logged(every_sample):
