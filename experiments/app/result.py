@@ -38,7 +38,7 @@ def read_result(job: Job) -> JobResult:
     says = [str(note) for note in data.get("notes", [])]
     if not says and isinstance(so_far, dict):
         says = [str(one) for one in so_far.values()]
-    says = _as_printed([readable(text.strip()) for text in says if text.strip()], job.console().text)
+    says = [readable(text.strip()) for text in says if text.strip()]
     return JobResult(
         headline=_verdict(job) or _numbers_in_a_line(data.get("result")) or (says[0] if says else ""),
         says=says,
@@ -50,13 +50,6 @@ def read_result(job: Job) -> JobResult:
         report=REPORT if REPORT in names else "",
         files=files,
     )
-
-
-def _as_printed(says: list[str], printed: str) -> list[str]:
-    """Sentences in the order in which the command printed them: the result comes first."""
-    places = [printed.find(sentence.splitlines()[0].strip()) for sentence in says]
-    order = sorted(range(len(says)), key=lambda k: (places[k] < 0, places[k], k))
-    return [says[k] for k in order]
 
 
 def _numbers_in_a_line(values: object) -> str:

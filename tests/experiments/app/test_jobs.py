@@ -255,12 +255,11 @@ def test_what_the_command_line_refuses_is_its_sentence(workspace):
     jobs.wait(10.0)
 
 
-def test_a_result_begins_with_what_the_command_printed_first(workspace):
+def test_a_result_begins_with_its_first_note_else_with_its_numbers(workspace):
     job = Job(workspace.jobs / "0001-start")
     job.out.mkdir(parents=True)
-    write_json(job.out / "result.json", {"notes": ["Next: identify", "it is a drive file", "elsewhere"]})
-    job.log.write_text("$ diffdrive start\n\nit is a drive file\nNext: identify\n", encoding="utf-8")
-    assert read_result(job).says == ["it is a drive file", "Next: identify", "elsewhere"]
+    write_json(job.out / "result.json", {"notes": ["it is a drive file", " 5 um away\n", "", "Next: identify"]})
+    assert read_result(job).says == ["it is a drive file", "5 µm away", "Next: identify"]
     assert read_result(job).headline == "it is a drive file"
     write_json(job.out / "result.json", {"result": {"rms_error_um": 0.25, "peak_error_um": 1.5}})
     assert read_result(job).headline == "RMS error 0.25 µm, peak error 1.5 µm"
