@@ -3,10 +3,12 @@
     python -m experiments.benchmarks.exported
 
 compiles each kind of controller, with its own gains and with gains at random, and replays 50,000 steps. The simulator
-is compiled without fused products and sums, so that both round alike.
+is compiled without fused products and sums, so that both round alike. Last, for comparison, come PD+FC+LE and its plant
+in one step, written by hand in C and in numba.
 """
 
 import argparse
+import contextlib
 import os
 import subprocess
 import sys
@@ -77,12 +79,19 @@ def _agree(seeds: int, timed: bool) -> bool:
         if timed:
             for single in (False, True):
                 program = program_of(axis.controller, 1.0 / axis.rate, "axis", single=single)
-                sys.stdout.write(f"    {'single' if single else 'double'}: {_step_time(program, lap, axis, run)}\n")
+                median, most, largest, rate = _step_time(program, lap, axis, run)
+                sys.stdout.write(
+                    f"    {'single' if single else 'double'}: median {median:.0f} cycles a step "
+                    f"({median / rate:.1f} ns), 99.9 % {most:.0f}, largest {largest:.0f}\n"
+                )
+    if timed:
+        for name, nanoseconds in _by_hand().items():
+            sys.stdout.write(f"{name}: {nanoseconds * rate:.0f} cycles a step ({nanoseconds:.1f} ns)\n")
     return agrees
 
 
-def _step_time(program: object, lap: object, axis: object, run: object) -> str:
-    """Median and largest time of a step."""
+def _step_time(program: object, lap: object, axis: object, run: object) -> tuple[float, ...]:
+    """Median, 99.9 % and largest time of a step, cycles; cycles a nanosecond."""
     from diffdrive.support.atomic_write import write_text
     from experiments.exports.compiled import compiler
     from experiments.exports.replay import replay_of
@@ -98,7 +107,35 @@ def _step_time(program: object, lap: object, axis: object, run: object) -> str:
         options += ["-std=gnu99", "-O2", "-march=native", "-I.", "-o", "time", str(TIMER), "axis.c", "-lm"]
         subprocess.run([*(compiler() or ["cc"]), *options], cwd=folder, check=True)
         ran = subprocess.run([f"{folder}/time", "axis_run.csv"], cwd=folder, check=True, capture_output=True, text=True)
-    return ran.stdout.strip()
+    return tuple(map(float, ran.stdout.split()))
+
+
+def _by_hand() -> dict[str, float]:
+    """Nanoseconds for a step of PD+FC+LE and its plant in one substep, as far as a compiler and numba are there."""
+    import numpy as np
+
+    from diffdrive.errors import DiffdriveError
+    from diffdrive.model.parameters import Sampling
+    from experiments.benchmarks import clock, in_c, loops
+    from experiments.benchmarks.common import RATE, nominal, ns_per_step
+    from experiments.benchmarks.parameters import lane_parameters
+
+    sampling, inputs = Sampling(RATE, substeps=1), loops.paper_inputs(STEPS)
+    given = (
+        lane_parameters(*nominal()), np.stack(list(map(np.asarray, inputs.reference))), np.asarray(inputs.load),
+        sampling.period, sampling.plant_steps,
+    )  # fmt: skip
+    jobs = {}
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(DiffdriveError):
+            in_c_roll = stack.enter_context(in_c.compiled()).roll
+            jobs["with the plant, by hand in C"] = lambda: in_c_roll(*given)
+        with contextlib.suppress(ImportError):
+            from experiments.benchmarks import in_numba
+
+            jobs["with the plant, by hand in numba"] = lambda: in_numba.roll(*given)
+        timings = clock.time_interleaved(jobs)
+    return {f"PD+FC+LE {name}": ns_per_step(timing, STEPS) for name, timing in timings.items()}
 
 
 if __name__ == "__main__":

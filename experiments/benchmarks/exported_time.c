@@ -1,12 +1,21 @@
-/* The time of each step of an exported controller: median, 99.9 %, and largest, of five passes over a recorded run.
+/* The time of a step of an exported controller: median, 99.9 %, and largest, of five passes over a recorded run.
  *
- * The time stamp counter runs at a fixed rate, which is near the clock of most processors but not it. */
+ * Printed in units of the counter, then how many of those a nanosecond has. The time stamp counter runs at a fixed rate,
+ * which is near the clock of most processors but not it. It may count in strides of tens of cycles, as long as a short
+ * step: so the median is of blocks of steps, and of single steps only what is far longer. */
 #include "axis.h"
 
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
+
+static unsigned long long nanoseconds(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (unsigned long long)t.tv_sec * 1000000000ull + (unsigned long long)t.tv_nsec;
+}
 
 #if defined(__x86_64__)
 #include <x86intrin.h>
@@ -15,22 +24,21 @@ static unsigned long long now(void)
     unsigned int core;
     return __rdtscp(&core);
 }
-#define UNIT "cycles"
 #else
 static unsigned long long now(void)
 {
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (unsigned long long)t.tv_sec * 1000000000ull + (unsigned long long)t.tv_nsec;
+    return nanoseconds();
 }
-#define UNIT "ns"
 #endif
 
 #define MOST 100000
 #define PASSES 5
+#define BLOCK 100
 
 static axis_inputs rows[MOST];
-static unsigned long long times[PASSES * MOST];
+static unsigned long long times[PASSES * MOST], blocks[PASSES * MOST / BLOCK];
+static axis_controller controller;
+static volatile REAL sink;
 
 static int by_size(const void *a, const void *b)
 {
@@ -38,14 +46,24 @@ static int by_size(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
+static void restart(void)
+{
+    axis_set_parameters(&controller, &axis_drive_file);
+    axis_reset(&controller, rows[0].reference_position);
+}
+
+static void step(int row)
+{
+    axis_outputs out;
+    axis_step(&controller, &rows[row], &out);
+    sink = out.force;
+}
+
 int main(int argc, char **argv)
 {
     static char line[8192];
-    static axis_controller controller;
     FILE *const file = fopen(argv[argc - 1], "r");
-    int steps = 0, count = 0;
-    unsigned long long empty = ~0ull;
-    volatile REAL sink = 0;
+    int steps = 0, count = 0, block_count = 0;
     if (file == NULL || fgets(line, sizeof line, file) == NULL) {
         return 2;
     }
@@ -58,24 +76,26 @@ int main(int argc, char **argv)
         }
     }
     fclose(file);
-    for (int i = 0; i < 1000; ++i) {
-        const unsigned long long begin = now(), end = now();
-        empty = end - begin < empty ? end - begin : empty;
-    }
+    const unsigned long long began = now(), clock_began = nanoseconds();
     for (int pass = 0; pass < PASSES; ++pass) {
-        axis_set_parameters(&controller, &axis_drive_file);
-        axis_reset(&controller, rows[0].reference_position);
-        for (int i = 0; i < steps; ++i) {
-            axis_outputs out;
+        restart();
+        for (int i = 0; i + BLOCK <= steps; i += BLOCK) {
             const unsigned long long begin = now();
-            axis_step(&controller, &rows[i], &out);
-            const unsigned long long end = now();
-            sink = out.force;
-            times[count++] = end - begin > empty ? end - begin - empty : 0;
+            for (int j = i; j < i + BLOCK; ++j) {
+                step(j);
+            }
+            blocks[block_count++] = now() - begin;
+        }
+        restart();
+        for (int i = 0; i < steps; ++i) {
+            const unsigned long long begin = now();
+            step(i);
+            times[count++] = now() - begin;
         }
     }
-    (void)sink;
+    const double rate = (double)(now() - began) / (double)(nanoseconds() - clock_began);
     qsort(times, (size_t)count, sizeof times[0], by_size);
-    printf("median %llu, 99.9 %% %llu, largest %llu " UNIT " a step", times[count / 2], times[count / 1000 * 999], times[count - 1]);
+    qsort(blocks, (size_t)block_count, sizeof blocks[0], by_size);
+    printf("%g %llu %llu %.6g\n", (double)blocks[block_count / 2] / BLOCK, times[count / 1000 * 999], times[count - 1], rate);
     return 0;
 }
