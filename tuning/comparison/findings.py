@@ -171,8 +171,24 @@ def limits(changes: Sequence[Change]) -> str:
             least[one.label] = one
     if not least:
         return ""
-    listed = ", ".join(f"{label.removeprefix('the ')} {_least(one)}" for label, one in least.items())
-    return f"nine in ten changes of this size would have been found: {listed}"
+    unseen = [label for label, one in least.items() if _beyond_doubling(one)]
+    seen = ", ".join(
+        f"{label.removeprefix('the ')} {_least(one)}" for label, one in least.items() if label not in unseen
+    )
+    parts = [f"nine in ten changes of this size would have been found: {seen}"] if seen else []
+    if unseen:
+        parts.append(
+            f"not even twice as much would have been found of: {', '.join(one.removeprefix('the ') for one in unseen)}"
+        )
+    return "; ".join(parts)
+
+
+def _beyond_doubling(one: Change) -> bool:
+    """Whether a change would have to be larger than the number itself, where such a number has a size of its own."""
+    if one.smallest is None:
+        return False
+    share = one.smallest if one.is_relative else one.smallest / max(abs(one.before), np.finfo(float).tiny)
+    return share > 1.0 and (one.is_relative or one.path.startswith("friction."))
 
 
 def _least(one: Change) -> str:

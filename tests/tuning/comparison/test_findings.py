@@ -100,6 +100,21 @@ def test_no_change_has_no_sentence_but_a_limit():
     assert "Coulomb friction" in said
 
 
+def test_where_a_doubling_would_be_missed_no_size_is_stated():
+    """A number hundreds of times the parameter is of the linear model, not of a machine."""
+    known = Change("plant.mass", "the moving mass", "kg", 100.0, 100.0, Interval(0, -0.01, 0.01), True, False, 0.02)
+    gap = Change("friction.breakaway_gap.positive", "the breakaway gap", "N", 30.0, 13.0, (), False, False, 1.3e4)
+    speed = Change(
+        "friction.stribeck_velocity.positive", "the Stribeck velocity", "m/s", 1e-3, 2e-3, (), True, False, 9
+    )
+    force = Change("plant.constant_force", "the constant force", "N", 0.01, 0.02, (), False, False, 19.0)
+    assert limits([known, gap, speed, force]) == (
+        "nine in ten changes of this size would have been found: moving mass 2 kg (2 %), constant force 19 N; "
+        "not even twice as much would have been found of: breakaway gap, Stribeck velocity"
+    )
+    assert limits([speed]).startswith("not even twice as much")
+
+
 def test_what_has_changed_has_no_limit():
     assert "moving mass" not in limits(machine(mass=1.1).changes)
 
