@@ -34,7 +34,7 @@ class Jobs:
         self._lock = threading.RLock()
         self._children: list[subprocess.Popen[bytes]] = []
         self._looks: list[subprocess.Popen[bytes]] = []  # those of them that look at a file
-        self._asked: dict[str, float] = {}  # when a job was asked to stop first
+        self._stop_requested: dict[str, float] = {}  # s, of the monotonic clock, by job and process
 
     def all(self) -> list[Job]:
         """All jobs, the newest first."""
@@ -121,9 +121,9 @@ class Jobs:
             process = job.process()
             if process is None or job.ended is not None:
                 return
-            asked = self._asked.setdefault(f"{job.id}:{process.pid}", time.monotonic())
+            first = self._stop_requested.setdefault(f"{job.id}:{process.pid}", time.monotonic())
             try:
-                if time.monotonic() - asked > SLOW_TO_STOP:
+                if time.monotonic() - first > SLOW_TO_STOP:
                     process.kill()
                 else:
                     process.send_signal(INTERRUPT)

@@ -9,7 +9,7 @@ RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt"
 
 
 def safe_name(text: str) -> str:
-    """A file name without folders, control characters and hidden beginnings; the extension stays.
+    """A file name without folders, control characters and a dot before them; the extension stays.
 
     Examples:
         >>> safe_name("../../lap 1.csv")

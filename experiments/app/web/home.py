@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 from nicegui import ui
 
-from experiments.app.beginnings import beginning, beginnings
+from experiments.app.drive_files import drive_file, drive_files
 from experiments.app.forms import BY_COMMAND, FORMS, Field, Form, arguments
 from experiments.app.job import Job, State
 from experiments.app.jobs import Jobs
@@ -87,11 +87,11 @@ def _drop_zone() -> None:
 
 def _new_drive(jobs: Jobs) -> None:
     def make(name: str) -> None:
-        given = jobs.workspace.add(f"{name}{DRIVE_FILE}", beginning(name))
+        given = jobs.workspace.add(f"{name}{DRIVE_FILE}", drive_file(name))
         ui.navigate.to(f"/file/{quote(given)}")
 
     with quiet_button("New drive file", icon="note_add").props("outline no-caps").classes("self-start"), ui.menu():
-        for name, title in beginnings().items():
+        for name, title in drive_files().items():
             with ui.menu_item(on_click=guarded(jobs.workspace, lambda name=name: make(name))):
                 ui.label(f"{name}: {title}" if title else name)
 

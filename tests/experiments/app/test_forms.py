@@ -9,8 +9,8 @@ import typer
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.logs.log import READABLE
 from experiments.app import mapping
-from experiments.app.beginnings import beginning, beginnings
 from experiments.app.console import parse_console
+from experiments.app.drive_files import drive_file, drive_files
 from experiments.app.forms import BY_COMMAND, FORMS, arguments, follow_up
 from experiments.app.look import curve
 from experiments.app.preview import drawings
@@ -123,13 +123,13 @@ def test_a_peak_of_one_sample_is_seen_in_a_long_curve():
 
 
 def test_every_drive_file_to_begin_with_is_one(tmp_path):
-    assert {"drive", "paper", "gantry"} <= set(beginnings())
-    for name in beginnings():
+    assert {"drive", "paper", "gantry"} <= set(drive_files())
+    for name in drive_files():
         path = tmp_path / f"{name}.toml"
-        path.write_bytes(beginning(name))
+        path.write_bytes(drive_file(name))
         read_axis(path)
     with pytest.raises(AppError, match="no axis"):
-        beginning("../secret")
+        drive_file("../secret")
 
 
 def test_a_drawing_quotes_the_names_of_columns():

@@ -10,7 +10,7 @@ from experiments.app.workspace import AppError
 TEMPLATE = "drive"
 
 
-def beginnings() -> dict[str, str]:
+def drive_files() -> dict[str, str]:
     """What there is to begin with, by name, each in a line."""
     found = {TEMPLATE: "the template: a testbed with comments on every key"}
     try:
@@ -28,7 +28,7 @@ def _title(path: Path) -> str:
     return str(title)
 
 
-def beginning(name: str) -> bytes:
+def drive_file(name: str) -> bytes:
     """The drive file of that name; raises `AppError` where there is none."""
     if name == TEMPLATE:
         from experiments.cli.template import template
