@@ -173,15 +173,15 @@ def _emps_withheld(report: Report, records: Records, cases: dict[str, WithheldTe
     known = [row for row in rows if row[0] != "nothing"]  # which withholds nothing
     if known:
         named = sum(row[4] != "not" for row in known)
-        report.result(f"EMPS: of {len(known)} terms that are withheld, one at a time, {named} are named.")
+        report.result(f"EMPS: {named} of {len(known)} terms are named, each withheld by itself.")
 
 
 def _withheld_row(
     report: Report, records: Records, term: str, case: WithheldTerm, controller: Controller
 ) -> list[object]:
     estimation, pulses = (_scaled(records[name].log, case.force) for name in ("estimation", "pulses"))
-    report.say(f"EMPS without its {term}:")
     diagnosis = _diagnose(report, case.nominal, controller, estimation, 2, case.tolerance)
+    report.say(f"EMPS without its {term}: {diagnosis.verdict.says}")
     real = records["pulses"].log
     full = force_error(registered(case.full, real), real)
     without, added = (
@@ -237,9 +237,8 @@ def _laas(report: Report, folder: Path) -> None:
     try:
         for file in laas.ACTIVE_FLAGS:
             for part, log in laas.read(folder / file).items():
-                report.say(f"{log.name}:")
                 diagnosis = _diagnose(report, nominal, UnknownController(), log, 2, GUESSED_TOLERANCE)
-                report.say(diagnosis.verdict.says)
+                report.say(f"{log.name}: {diagnosis.verdict.says}")
                 closed_percent = None if diagnosis.closed is None else 100 * diagnosis.closed.share
                 rows.append(
                     [file, part, diagnosis.verdict.verdict, *_cogging(diagnosis), closed_percent, _others(diagnosis)]

@@ -14,7 +14,7 @@ from tuning.diagnosis.judgement.verdict import Belief
 
 
 def test_one_term_is_withheld_and_nothing_found_is_no_error(monkeypatch):
-    nothing = SimpleNamespace(verdict=SimpleNamespace(verdict="unknown", beliefs=[]))
+    nothing = SimpleNamespace(verdict=SimpleNamespace(verdict="unknown", beliefs=[], says="nothing explains it"))
     record = SimpleNamespace(log=SimpleNamespace(command=0.0))
     stubs = {"identify_axis": SimpleNamespace(drive=real_axes.emps.reference_drive()), "force_error": 5.0}
     stubs |= {"_scaled": None, "_diagnose": nothing, "registered": None, "augmented_drive": None}
