@@ -21,7 +21,8 @@ public r r_edge r_trig read_only read_write real ref reference repeat replace re
 right rol ror rs rtc s sel shl shr sin single sint sizeof sqrt sr st step stn string struct sub super tan task then this
 time to tod tof ton tp transition true trunc type udint uint ulint until usint var wchar while with word wstring xor
 xorn"""
-BENCH_WORDS = "controller sample largest difference deviation done passed"  # variables beside the block, in its bench
+# variables beside the block, in its bench
+BENCH_WORDS = "controller sample largest off difference no_number deviation done passed"
 RESERVED = frozenset((C_WORDS + " " + ST_WORDS).split())
 TAKEN = RESERVED | frozenset(BENCH_WORDS.split())  # no name of a controller
 OWN_WORDS = "restart reset initialised start_position update_parameters period wrong_period i in out k s p none"

@@ -106,6 +106,15 @@ def test_the_bench_tells_another_law(tmp_path):
     assert differences["force"] > FUSED
 
 
+def test_the_bench_fails_where_one_answer_is_no_number(tmp_path):
+    """Also where the next one is a number again."""
+    program, replay = replayed_program(VARIANTS["pd"])
+    replay.outputs["force"] = np.where(np.arange(len(replay.outputs["force"])) == 7, np.nan, replay.outputs["force"])
+    differences, code = compiled_differences(program, replay, tmp_path, COMPILERS[0])
+    assert code == 1
+    assert np.isnan(differences["force"])
+
+
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler on this machine")
 def test_a_program_in_cpp_may_include_the_header(tmp_path):
     program, replay = replayed_program(VARIANTS["pd"], samples=501)

@@ -59,6 +59,16 @@ def test_a_position_that_is_no_number_stops_the_task_of_a_controller_that_traps(
     assert len(ran.stdout.split()) == 5
 
 
+@pytest.mark.long
+@with_matiec
+@pytest.mark.parametrize("wrong", ["LN(REAL_TO_LREAL(-1.0)) * controller.force", "0.0 * controller.force"])
+def test_the_bench_fails_where_the_answers_are_none(wrong, tmp_path):
+    text = block_and_bench("pd")
+    assert text.count("ABS(controller.force") == 1
+    ran = run_by_matiec(text.replace("ABS(controller.force", f"ABS({wrong}"), BENCH, tmp_path, traps=False)
+    assert ran.returncode != 0
+
+
 def test_structured_text_takes_parameters_with_and_without_a_restart():
     program, replay = replayed_program(VARIANTS["cascade, all parts"], samples=301)
     block = st_files(program, "a test", replay, TOLERANCES)["axis_x.st"]

@@ -1,5 +1,6 @@
 """FMU and HAL: accepted by an independent compiler or tool, and the same answers."""
 
+import os
 import re
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import zipfile
 from dataclasses import replace
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from diffdrive.axis_file.drive_file import read_axis
@@ -119,13 +121,63 @@ except Exception:
 """
 
 
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory):
+    pytest.importorskip("fmpy", reason="FMPy is not installed")
+    folder = tmp_path_factory.mktemp("fmu")
+    program, replay = replayed_program(VARIANTS["pd"], samples=301)
+    write_files(fmu_files(program, "a test", replay, TOLERANCES), folder)
+    return folder / "axis_x.fmu"
+
+
 @pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
 @pytest.mark.parametrize(("step", "code"), [("1e-3", 0), ("inf", 3), ("nan", 3), ("-1e-3", 3)])
-def test_a_step_of_an_fmu_that_has_no_end_is_refused(step, code, tmp_path):
+def test_a_step_of_an_fmu_that_has_no_end_is_refused(fmu, step, code):
+    assert run_with_fmpy(STEP, fmu, step).returncode == code
+
+
+STEPS = """
+one.enterInitializationMode()
+one.exitInitializationMode()
+one.doStep(0.0, 1e-3)
+one.doStep(1e-3 * (1 + 1e-9), 1e-3)
+try:
+    one.doStep(float(sys.argv[2]), 1e-3)
+except Exception:
+    sys.exit(3)
+"""
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
+@pytest.mark.parametrize(("now", "code"), [("2e-3", 0), ("0.0", 3), ("-5.0", 3), ("1.0", 3)])
+def test_a_step_of_an_fmu_begins_where_the_last_one_ended(fmu, now, code):
+    """Back in time there is no state; over a gap the controller would run on with old inputs, and wind up."""
+    assert run_with_fmpy(STEPS, fmu, now).returncode == code
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
+def test_the_bench_of_an_fmu_fails_where_one_answer_is_no_number(tmp_path):
     pytest.importorskip("fmpy", reason="FMPy is not installed")
     program, replay = replayed_program(VARIANTS["pd"], samples=301)
+    replay.outputs["force"] = np.where(np.arange(len(replay.outputs["force"])) == 7, np.nan, replay.outputs["force"])
     write_files(fmu_files(program, "a test", replay, TOLERANCES), tmp_path)
-    assert run_with_fmpy(STEP, tmp_path / "axis_x.fmu", step).returncode == code
+    ran = subprocess.run([sys.executable, str(tmp_path / "axis_x_fmu_bench.py")], capture_output=True, text=True)
+    assert ran.returncode == 1
+    assert "relative difference nan" in ran.stdout
+
+
+@pytest.mark.parametrize(("answers", "code"), [("right", 0), ("nan", 1), ("0.0", 1), ("", 1)])
+def test_the_bench_of_a_component_tells_right_answers_from_others(answers, code, tmp_path, monkeypatch):
+    """With a program in the place of LinuxCNC's that gives these answers."""
+    program, replay = replayed_program(VARIANTS["pd"], samples=301)
+    write_component(program, replay, tmp_path)
+    forces = replay.outputs["force"]
+    given = {"right": "".join(f"{one:f}\n" for one in forces), "": ""}
+    (tmp_path / "answers").write_text(given.get(answers, f"{answers}\n" * len(forces)))
+    (tmp_path / "halrun").write_text(f"#!/bin/sh\ncp {tmp_path}/answers sample.txt\n")
+    (tmp_path / "halrun").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    assert subprocess.run([sys.executable, str(tmp_path / "axis_x_hal_bench.py")]).returncode == code
 
 
 def test_a_name_that_is_too_long_for_hal_is_refused_with_the_length_that_is_not():
