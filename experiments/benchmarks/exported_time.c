@@ -49,7 +49,7 @@ static int by_size(const void *a, const void *b)
 static void restart(void)
 {
     axis_set_parameters(&controller, &axis_drive_file);
-    axis_reset(&controller, rows[0].reference_position);
+    axis_reset(&controller, rows[0].scale_position);
 }
 
 static void step(int row)

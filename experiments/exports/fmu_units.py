@@ -17,7 +17,7 @@ LOGARITHMIC = {"dB"}
 def units_of(program: Program) -> dict[str, dict[str, str] | None]:
     """The attributes of each unit's `BaseUnit`; None for one that no product of base units is, such as dB."""
     signals = (*program.inputs, *(signal for signal, _ in program.outputs))
-    names = ["s", program.at_start.unit, *(one.unit for one in signals), *(one.unit for one in program.parameters)]
+    names = ["s", *(one.unit for one in signals), *(one.unit for one in program.parameters)]
     import pint  # half a second, and no other export reads units
 
     registry = pint.UnitRegistry(autoconvert_offset_to_baseunit=True)

@@ -66,6 +66,7 @@ class Signal(NamedTuple):
     meaning: str
 
 
+ENCODERS = "scale_position", "motor_position"  # names of the inputs that measure a position
 AT_START = Signal("start_position", "m", "measured position at the start")
 
 
@@ -137,6 +138,12 @@ class Program:
             states=tuple(map(state, self.states)),
             at_start=restated(self.at_start),
         )
+
+    @property
+    def measured(self) -> str:
+        """The encoder at which it starts: the scale, or the motor's where it has no scale."""
+        names = [one.name for one in self.inputs]
+        return next(name for name in ENCODERS if name in names)
 
     def reads(self, signal: Signal) -> bool:
         """Whether the controller depends on an input."""

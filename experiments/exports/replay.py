@@ -14,7 +14,7 @@ from diffdrive.controllers.base import Command, Encoders
 from diffdrive.loop.run import Run
 from diffdrive.model.friction import resolvable
 from diffdrive.motion.motion import Motion
-from diffdrive.numerics.arrays import as_arrays, in_precision_of
+from diffdrive.numerics.arrays import Scalar, as_arrays, in_precision_of
 from experiments.exports.program import Program
 from experiments.exports.trace import ESTIMATES
 
@@ -36,6 +36,7 @@ class Replay(NamedTuple):
 def replay_of(program: Program, axis: Axis, motion: Motion, run: Run, *, single: bool = False) -> Replay:
     """The replay of a run: the simulated controller alone, given what it was given in the run.
 
+    It begins where the motion does: a bench may hold no more than the first samples, and at rest they prove nothing.
     The force that is fed back is the one that acted in the run, as a machine would measure it. With `single` the
     simulator computes in single precision, too.
     """
@@ -49,11 +50,13 @@ def replay_of(program: Program, axis: Axis, motion: Motion, run: Run, *, single:
         "motor_position": motor,
         "applied_force": applied,
     }
+    begin = max(int(np.argmax(motion.position != motion.position[0])) - 1, 0)
+    given = {name: one[begin:] for name, one in given.items()}
     signals = {name: jnp.asarray(one) for name, one in given.items()}
     arguments = as_arrays(axis.controller), signals
     if single:
         arguments = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), arguments)
-    command = _answers(*arguments, program.period)
+    command = _answers(*arguments, arguments[1][program.measured][0], program.period)
     outputs: dict[str, Any] = {"force": command.force}
     if command.estimate is not None:
         estimate = command.estimate
@@ -65,8 +68,8 @@ def replay_of(program: Program, axis: Axis, motion: Motion, run: Run, *, single:
 
 
 @eqx.filter_jit
-def _answers(controller: Controller, given: dict[str, Array], period: float) -> Command:
-    """The command at each sample."""
+def _answers(controller: Controller, given: dict[str, Array], start: Scalar, period: float) -> Command:
+    """The command at each sample, from rest at a position."""
     controller = resolvable(controller)
 
     def step(state: object, now: dict[str, Array]) -> tuple[object, Command]:
@@ -74,5 +77,4 @@ def _answers(controller: Controller, given: dict[str, Array], period: float) -> 
         encoders = Encoders(now["scale_position"], now["motor_position"])
         return controller.step_from_encoders(state, reference, encoders, now["applied_force"], period)
 
-    start = given["reference_position"][0]
     return jax.lax.scan(step, in_precision_of(start, controller.init(start)), given)[1]

@@ -43,7 +43,7 @@ def test_the_readme_names_every_file_every_signal_and_the_fingerprint_of_the_cod
     result, readme = exported(target, tmp_path, axis)
     program = program_of(axis.controller, 1.0 / axis.rate, "axis_x")
     assert all(re.search(rf"^  {re.escape(file)}  +\w", readme, re.M) for file in result.files if "readme" not in file)
-    for signal in (*program.inputs, program.at_start, *(one for one, _ in program.outputs)):
+    for signal in (*program.inputs, *(one for one, _ in program.outputs)):
         assert re.search(rf"^  {signal.name} +{re.escape(signal.unit)} +{re.escape(signal.meaning)}$", readme, re.M)
     assert "  controller      pd+fc\n" in readme
     assert "  rate            10000 Hz" in readme

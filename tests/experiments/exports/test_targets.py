@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from diffdrive import motion
 from diffdrive.axis_file.drive_file import read_axis
 from diffdrive.errors import ParameterError
 from diffdrive.model.data_sheet import DataSheet
@@ -155,6 +156,70 @@ def test_a_step_of_an_fmu_begins_where_the_last_one_ended(fmu, now, code):
     assert run_with_fmpy(STEPS, fmu, now).returncode == code
 
 
+FAR = """
+references = {variable.name: variable.valueReference for variable in description.modelVariables}
+one.enterInitializationMode()
+one.exitInitializationMode()
+one.setFloat64([references["reference_position"], references["scale_position"]], [0.1, 0.1])
+for step in range(5):
+    one.doStep(step * 1e-4, 1e-4)
+    print(*one.getFloat64([references["force"]]))
+"""
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
+def test_an_fmu_starts_at_rest_where_it_is_measured(fmu):
+    """From a position that nobody stated, as 0, the first force would be that of an infinite speed."""
+    assert [float(force) for force in run_with_fmpy(FAR, fmu).stdout.split()] == [0.0] * 5
+
+
+FAR_HARNESS = """
+#include "axis_x_hal.h"
+#include <stdio.h>
+int main(void)
+{
+    static axis_x_instance held;
+    double parameter_values[AXIS_X_PARAMETERS], out[OUTPUTS] = {0.0};
+    double in[] = {0.1, 0.0, 0.0, 0.1, 0.0};
+    memcpy(parameter_values, &axis_x_drive_file, sizeof parameter_values);
+    for (int call = 0; call < 3; ++call) {
+        axis_x_period(&held, parameter_values, false, in, out);
+        printf("%g ", out[0]);
+    }
+    in[0] = in[3] = -0.2; /* moved while the amplifier was off */
+    axis_x_period(&held, parameter_values, true, in, out);
+    printf("%g ", out[0]);
+    return 0;
+}
+"""
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
+def test_a_component_starts_at_rest_where_it_is_measured(tmp_path):
+    program, replay = replayed_program(VARIANTS["pd"], samples=301)
+    write_component(program, replay, tmp_path)
+    (tmp_path / "harness.c").write_text(FAR_HARNESS)
+    options = ["-I.", "-w", f"-DOUTPUTS={len(program.outputs)}", "-o", "harness", "harness.c", "-lm"]
+    subprocess.run([COMPILERS[0], *options], cwd=tmp_path, check=True)
+    ran = subprocess.run([tmp_path / "harness"], capture_output=True, text=True, check=True)
+    assert [float(force) for force in ran.stdout.split()] == [0.0] * 4
+
+
+def test_a_replay_begins_where_the_motion_does(tmp_path):
+    """The memory of a controller holds its first 500 samples: at rest they would prove nothing."""
+    axis = VARIANTS["pd"]
+    stroke = motion.triangular(speed=0.01, stroke=1e-3, rounding=0.02, duration=0.1, rate=axis.rate)
+    rest = np.full(1_000, stroke.position[0])
+    late = motion.from_array(
+        np.arange(len(rest) + len(stroke.time)) / axis.rate, np.concatenate([rest, stroke.position])
+    )
+    result = export(axis, late, tmp_path, target="structured-text", name="late")
+    assert result.steps < len(late.time) - 900
+    bench = (tmp_path / "late_bench.st").read_text()
+    force = re.search(r"run_expected_force : [^\[]*\[[^\[]*\[([^\]]*)\]", bench)[1]
+    assert np.count_nonzero([float(one) for one in force.split(",")]) > 400
+
+
 @pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
 def test_the_bench_of_an_fmu_fails_where_one_answer_is_no_number(tmp_path):
     pytest.importorskip("fmpy", reason="FMPy is not installed")
@@ -227,7 +292,7 @@ def test_the_fmu_of_a_rotary_axis_is_valid(tmp_path):
         description = archive.read("modelDescription.xml").decode()
     assert '<BaseUnit rad="1"/>' in description
     assert (
-        'name="start_position" valueReference="1" causality="parameter" variability="fixed" unit="rad"' in description
+        'name="scale_position" valueReference="4" causality="input" variability="continuous" unit="rad"' in description
     )
 
 
