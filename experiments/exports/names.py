@@ -25,7 +25,8 @@ xorn"""
 BENCH_WORDS = "controller sample largest off difference no_number deviation done passed"
 RESERVED = frozenset((C_WORDS + " " + ST_WORDS).split())
 TAKEN = RESERVED | frozenset(BENCH_WORDS.split())  # no name of a controller
-OWN_WORDS = "restart reset initialised start_position update_parameters period wrong_period i in out k s p none"
+OWN_WORDS = """restart reset initialised start_position update_parameters period wrong_period refused not_a_number
+i in out k s p none"""
 OWN = frozenset(OWN_WORDS.split())
 OWN_PATTERN = re.compile(r"[tpbc]\d+|(k|s|next|first|run)_.*")
 

@@ -174,6 +174,21 @@ def test_parameters_may_be_set_while_it_runs(library):
     assert not np.array_equal(other[100:], plain[100:])
 
 
+def test_parameters_that_make_no_number_are_refused_and_change_nothing(library):
+    """A reset time of 0 makes an infinite gain: taken, the command would be NaN until a reset."""
+    program, _, code = library
+    code.axis_x_set_parameters.restype = ctypes.c_bool
+    values = np.array([one.value for one in program.parameters])
+    controller = (ctypes.c_double * 200)()
+    assert code.axis_x_set_parameters(controller, values.ctypes.data_as(ctypes.c_void_p))
+    before = bytes(controller)
+    place = [one.name for one in program.parameters].index("reset_time")
+    for wrong in (0.0, np.nan):
+        values[place] = wrong
+        assert not code.axis_x_set_parameters(controller, values.ctypes.data_as(ctypes.c_void_p))
+        assert bytes(controller) == before
+
+
 def test_a_position_that_is_no_number_is_seen_in_the_command(library):
     program, replay, code = library
     broken = np.where(np.arange(301) == 150, np.nan, replay.inputs["scale_position"])

@@ -189,7 +189,10 @@ int main(void)
     in[0] = in[3] = -0.2; /* moved while the amplifier was off */
     axis_x_period(&held, parameter_values, true, in, out);
     printf("%g ", out[0]);
-    return 0;
+    parameter_values[0] = NAN;
+    axis_x_period(&held, parameter_values, false, in, out);
+    printf("%g ", out[0]);
+    return held.is_refused ? 0 : 1;
 }
 """
 
@@ -202,7 +205,7 @@ def test_a_component_starts_at_rest_where_it_is_measured(tmp_path):
     options = ["-I.", "-w", f"-DOUTPUTS={len(program.outputs)}", "-o", "harness", "harness.c", "-lm"]
     subprocess.run([COMPILERS[0], *options], cwd=tmp_path, check=True)
     ran = subprocess.run([tmp_path / "harness"], capture_output=True, text=True, check=True)
-    assert [float(force) for force in ran.stdout.split()] == [0.0] * 4
+    assert [float(force) for force in ran.stdout.split()] == [0.0] * 5  # refused parameters change nothing
 
 
 def test_a_replay_begins_where_the_motion_does(tmp_path):
@@ -218,6 +221,26 @@ def test_a_replay_begins_where_the_motion_does(tmp_path):
     bench = (tmp_path / "late_bench.st").read_text()
     force = re.search(r"run_expected_force : [^\[]*\[[^\[]*\[([^\]]*)\]", bench)[1]
     assert np.count_nonzero([float(one) for one in force.split(",")]) > 400
+
+
+REFUSED = """
+references = {variable.name: variable.valueReference for variable in description.modelVariables}
+one.enterInitializationMode()
+one.exitInitializationMode()
+one.setFloat64([references["reset_time"]], [0.0])
+try:
+    one.doStep(0.0, 1e-3)
+except Exception:
+    sys.exit(3)
+"""
+
+
+@pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
+def test_an_fmu_refuses_parameters_that_make_no_number(tmp_path):
+    pytest.importorskip("fmpy", reason="FMPy is not installed")
+    program, replay = replayed_program(VARIANTS["cascade, all parts"], samples=301)
+    write_files(fmu_files(program, "a test", replay, TOLERANCES), tmp_path)
+    assert run_with_fmpy(REFUSED, tmp_path / "axis_x.fmu").returncode == 3
 
 
 @pytest.mark.skipif(not COMPILERS, reason="no C compiler on this machine")
