@@ -15,7 +15,11 @@ from experiments.exports.program import ExportError
 
 def compiler() -> list[str] | None:
     """The compiler that `CC` names, with its arguments, or the usual ones; None where there is none."""
-    named = shlex.split(os.environ.get("CC", ""))
+    text = os.environ.get("CC", "")
+    try:
+        named = shlex.split(text)
+    except ValueError as problem:
+        raise ExportError(f"CC={text}: is no command: {problem}; name a compiler, or unset it") from None
     if named:
         if shutil.which(named[0]) is None:
             raise ExportError(f"CC={shlex.join(named)}: there is no such compiler; name another, or unset it")

@@ -24,7 +24,9 @@ xorn"""
 # variables beside the block, in its bench
 BENCH_WORDS = "controller sample largest off difference no_number deviation done passed"
 RESERVED = frozenset((C_WORDS + " " + ST_WORDS).split())
-TAKEN = RESERVED | frozenset(BENCH_WORDS.split())  # no name of a controller
+DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(10))})
+# no name of a controller: its files have it, and Windows makes none that is called as a device
+TAKEN = RESERVED | frozenset(BENCH_WORDS.split()) | DEVICES
 OWN_WORDS = """restart reset initialised start_position update_parameters period wrong_period refused not_a_number
 i in out k s p none"""
 OWN = frozenset(OWN_WORDS.split())
@@ -36,7 +38,7 @@ def checked_name(name: str) -> str:
     if not re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name) or len(name) > LONGEST or name.lower() in TAKEN:
         raise ParameterError(
             f"name {short_repr(name)}: must be a letter, then letters, digits and single underscores, at most "
-            f"{LONGEST} in all, and no word of C, of Structured Text or of the bench"
+            f"{LONGEST} in all, and no word of C, of Structured Text, of the bench or of Windows"
         )
     return name
 

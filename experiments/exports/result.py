@@ -37,7 +37,7 @@ class ExportResult(Result):
         """The target, and the agreement."""
         head = f"{self.kind} at {self.rate:g} Hz as {self.target}, {self.precision} precision"
         if not self.differences:
-            return f"{head}: not compiled here"
+            return f"{head}: not replayed here, its bench does that"
         agreement = f"{max(self.differences.values()):.2g} of the largest value of each output over {self.steps} steps"
         return f"{head}: differs from the simulation by {agreement}"
 

@@ -142,11 +142,31 @@ def _notes(axis: Axis, program: Program, run: Run, lost: dict[str, float]) -> tu
             "applied_force is the force that acts, not the command that was just given: feed back the measured one, or "
             "the command as late as the drive's delay."
         )
+    return (*notes, *_unlimited(axis), *_pushed_at_rest(axis))
+
+
+def _unlimited(axis: Axis) -> list[str]:
+    """That the amplifier's limit is not the controller's."""
     limit = axis.drive.actuator.force_limit
-    if limit is not None and getattr(axis.controller, "force_limit", None) is None:
-        unit = axis_unit("N", axis.sheet)
-        notes.append(
-            f"The code does not limit the command: the drive file's {float(limit):.4g} {unit} are the amplifier's, "
-            "and an integral goes on there. Limit the command before the amplifier, or give [controller] a force_limit."
-        )
-    return tuple(notes)
+    if limit is None or getattr(axis.controller, "force_limit", None) is not None:
+        return []
+    said = (
+        f"The code does not limit the command: the drive file's {float(limit):.4g} {axis_unit('N', axis.sheet)} are "
+        "the amplifier's"
+    )
+    if hasattr(axis.controller, "force_limit"):
+        return [f"{said}, and an integral goes on there. Limit the command there, or give [controller] a force_limit."]
+    return [f"{said}. Limit the command before it."]
+
+
+def _pushed_at_rest(axis: Axis) -> list[str]:
+    """That an axis which its friction does not hold moves at first: a controller begins without force."""
+    force = float(axis.drive.plant.constant_force)
+    held = axis.drive.friction.coulomb_at(0.0)
+    if abs(force) <= float(held.negative if force < 0.0 else held.positive):
+        return []
+    return [
+        f"A constant force of {force:.4g} {axis_unit('N', axis.sheet)} acts, and friction does not hold it: after a "
+        "reset the command begins at zero, and the axis moves until the controller has built up as much. Open the "
+        "brake only then, or add that force to the command."
+    ]

@@ -134,6 +134,9 @@ def test_the_compiler_may_have_arguments(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(ExportError, match="no such compiler"):
         compiler()
+    monkeypatch.setenv("CC", '"')
+    with pytest.raises(ExportError, match="is no command"):
+        compiler()
 
 
 @pytest.fixture

@@ -324,6 +324,18 @@ def test_a_command_that_only_the_amplifier_limits_is_noted(tmp_path):
     assert any("9425 N" in note for note in export(axis, lap(axis, 501), tmp_path, target="structured-text").notes)
     limited = axis.with_controller(replace(axis.controller, force_limit=5e3))
     assert not any("limit" in note for note in export(limited, lap(axis, 501), tmp_path, target="c99").notes)
+    observed = VARIANTS["pd+fc"].replace({"actuator.force_limit": 5e4})
+    [note] = [one for one in export(observed, lap(observed, 501), tmp_path, target="c99").notes if "limit" in one]
+    assert "[controller]" not in note  # which takes no limit with this kind
+    assert "integral" not in note  # which this kind has not
+
+
+def test_an_axis_that_its_friction_does_not_hold_is_noted(tmp_path):
+    axis = read_axis("vertical")
+    stroke = lap(axis, 501)
+    assert not any("brake" in note for note in export(axis, stroke, tmp_path, target="structured-text").notes)
+    hanging = axis.replace({"plant.constant_force": -1520.0})
+    assert any("-1520 N" in note for note in export(hanging, stroke, tmp_path, target="structured-text").notes)
 
 
 def test_what_is_not_known_is_refused(tmp_path):
