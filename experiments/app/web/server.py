@@ -19,6 +19,7 @@ from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.staticfiles import StaticFiles
 
 from experiments.app.jobs import Jobs
+from experiments.app.private import user_secret
 from experiments.app.web.guard import Guard, results_token
 from experiments.app.web.home import home
 from experiments.app.web.inspect import inspect
@@ -48,7 +49,7 @@ def serve(workspace: Workspace, port: int, show: bool) -> None:
         address = listening.getsockname()[1]
         key = _key(workspace)
         write_json(workspace.folder / KEPT, {"port": address, "key": key})
-        jobs = Jobs(workspace)
+        jobs = Jobs(workspace, secret=user_secret())
         url = f"http://{HOST}:{address}/?key={key}"
         print(f"diffdrive app: {url}\nfolder: {workspace.folder}\nCtrl-C ends it", flush=True)
         ticket = secrets.token_urlsafe(32)
