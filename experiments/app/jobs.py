@@ -31,13 +31,13 @@ SLOW_TO_STOP = 20.0  # s: a command ends within 15 s of a signal (docs/how-to/re
 class Jobs:
     """The jobs of a workspace; only one app at a time has this."""
 
-    def __init__(self, workspace: Workspace, program: Sequence[str] = PROGRAM, secret: bytes = b"") -> None:
+    def __init__(self, workspace: Workspace, program: Sequence[str] = PROGRAM, seal: Seal | None = None) -> None:
         """`program` takes the folder of a job, and runs it.
 
-        Jobs that wait begin by themselves if an app of the same `secret` made them; without one, only this one's do.
+        Jobs that wait begin by themselves if an app with the same `seal` made them; without one, only this one's do.
         """
         self.workspace, self._program = workspace, program
-        self._seal = Seal(secret or secrets.token_bytes())
+        self._seal = seal or Seal(secrets.token_bytes())
         self._lock = threading.RLock()
         self._children: list[subprocess.Popen[bytes]] = []
         self._looks: list[subprocess.Popen[bytes]] = []  # those of them that look at a file
@@ -74,7 +74,7 @@ class Jobs:
             # --out before the logs: after the -- of compare it would be read as well, and here it is the same for all
             full = [command, "--out", out, *made]
             record = {"arguments": full, "asked": arguments, "title": title, "wanted": "run", "at": time.time()}
-            record["seal"] = self._seal.of(job, full)
+            record["seal"] = self._seal.of(job.folder, *full)
             try:
                 write_json(job.folder / "job.json", record)
             except OSError:  # a full disk: no number without a job
@@ -117,7 +117,7 @@ class Jobs:
                 return
             record = job.record
             record.pop("process", None)
-            seal = self._seal.of(job, job.arguments)  # who asks has its command line before the eyes
+            seal = self._seal.of(job.folder, *job.arguments)  # who asks has its command line before the eyes
             write_json(job.folder / "job.json", record | {"wanted": "run", "seal": seal})
             (job.folder / "exit.json").unlink(missing_ok=True)
         self.tick()
@@ -161,7 +161,7 @@ class Jobs:
             waiting = [(job, job.state) for job in reversed(self.all())]
             busy = any(state in ("running", "stopping") and job.command not in SHORT for job, state in waiting)
             for job, state in waiting:
-                if state == "waiting" and not self._seal.holds(job):
+                if state == "waiting" and not self._seal.holds(job.record.get("seal"), job.folder, *job.arguments):
                     job.update(wanted="confirm")
                     continue
                 if state != "waiting" or (busy and job.command not in SHORT):

@@ -11,6 +11,7 @@ import pytest
 from experiments.app.job import Job
 from experiments.app.jobs import Jobs
 from experiments.app.private import user_secret
+from experiments.app.seal import Seal
 from experiments.app.workspace import Workspace, read_json, write_json
 
 # leaves a mark in its folder of results, in the place of the command line
@@ -25,7 +26,7 @@ line.main = fake
 from experiments.app.command import main
 main()
 """
-OWN = b"the secret of this user"
+OWN = Seal(b"the secret of this user")
 
 
 @pytest.fixture
@@ -33,8 +34,8 @@ def workspace(tmp_path):
     return Workspace(tmp_path / "work")
 
 
-def app_of(workspace, secret=OWN, program=(sys.executable, "-c", MARK)):
-    return Jobs(workspace, program, secret)
+def app_of(workspace, seal=OWN, program=(sys.executable, "-c", MARK)):
+    return Jobs(workspace, program, seal)
 
 
 def put(workspace, arguments, name="0001-check", **more):
@@ -101,7 +102,7 @@ def test_what_waited_begins_with_the_next_app_of_its_user_and_not_in_a_copy(work
     first = app_of(workspace)
     first._launch = lambda job: None  # it is killed before it can
     job = first.create("diagnose", ["files/lap.csv"], "Diagnose")
-    stranger = app_of(workspace, b"another's")
+    stranger = app_of(workspace, Seal(b"another's"))
     copied = Workspace(tmp_path / "copy")
     (copied.jobs / job.id).mkdir()
     write_json(copied.jobs / job.id / "job.json", read_json(job.folder / "job.json"))
