@@ -25,7 +25,7 @@ class LibraryAxis:
 
     name: str  # by which `read_axis` and every command take it
     path: Path  # of its drive file
-    provenance: Provenance
+    provenance: Provenance  # empty where the file cannot be read: `read` then says why
 
     def read(self) -> Axis:
         """The axis. Raises `DriveFileError`."""
@@ -45,9 +45,11 @@ def axes() -> dict[str, LibraryAxis]:
     The folders are those that the environment variable `DIFFDRIVE_AXES` names, separated as those of `PATH` are, and
     `axes` in the user's configuration folder (docs/reference/axes.md). Each `.toml` file in them is an axis.
 
+    A file that cannot be read is among them, without provenance: one that is unfinished hides no other.
+
     Raises:
-        DriveFileError: A folder that the environment names is not there, or a file is no TOML. A name that two files
-            have is left to `read_axis`, which refuses it: here the first of them has it.
+        DriveFileError: A folder that the environment names is not there. A file that cannot be read, and a name that
+            two files have, are left to `read_axis`, which refuses them: of the two, here the first has the name.
 
     Examples:
         >>> import diffdrive as dd
@@ -56,7 +58,13 @@ def axes() -> dict[str, LibraryAxis]:
         >>> axis = dd.read_axis("gantry")
 
     """
-    return {name: _axis_at(files[0]) for name, files in library_files().items()}
+    found = {}
+    for name, files in library_files().items():
+        try:
+            found[name] = _axis_at(files[0])
+        except DriveFileError:
+            found[name] = LibraryAxis(name, files[0], Provenance())
+    return found
 
 
 def library_axis(name: str) -> LibraryAxis:
@@ -70,12 +78,17 @@ def _axis_at(path: Path) -> LibraryAxis:
 
 
 def markdown() -> str:
-    """The axes of the library as a Markdown table. Raises `DriveFileError` for a file that is no drive file."""
+    """The axes of the library as a Markdown table; the row of a file that is no drive file says why it is none."""
     lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
     for name, files in library_files().items():
         for path in files:  # of those that share a name the source is the path, by which they differ
-            one, axis = _axis_at(path), read_axis(path)
-            source = one.provenance.source if len(files) == 1 and one.provenance.source else str(path)
-            cells = (name, one.provenance.title, axis.controller.kind, f"{1e-3 * axis.rate:g} kHz", source)
+            cells: tuple[str, ...]
+            try:
+                one, axis = _axis_at(path), read_axis(path)
+            except DriveFileError as problem:
+                cells = (name, "cannot be read", "", "", str(problem))
+            else:
+                source = one.provenance.source if len(files) == 1 and one.provenance.source else str(path)
+                cells = (name, one.provenance.title, axis.controller.kind, f"{1e-3 * axis.rate:g} kHz", source)
             lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"

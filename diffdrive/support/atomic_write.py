@@ -20,16 +20,18 @@ def temporary_beside(path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def atomic_write(path: str | Path, mode: str = "wb") -> Iterator[IO[Any]]:
+def atomic_write(path: str | Path, mode: str = "wb", *, private: bool = False) -> Iterator[IO[Any]]:
     """Yield a file to write to; `path` becomes what was written at the end of the block, in one step.
 
     `mode` is "wb", or "w" for text, in UTF-8 with line ends as they are written. Where the block or the disk fails,
-    `path` stays as it was and nothing else is left. A link is followed. Raises `OSError` as `open` does.
+    `path` stays as it was and nothing else is left. A link is followed. What is `private` the user alone can read.
+    Raises `OSError` as `open` does.
     """
     path = Path(os.path.realpath(path))  # a replaced link would leave the file that it names as it was
     temporary = temporary_beside(path)
     encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
-    file = temporary.open(mode.replace("w", "x"), encoding=encoding, newline=newline)
+    temporary.touch(0o600 if private else 0o666, exist_ok=False)  # private from its first moment on
+    file = temporary.open(mode, encoding=encoding, newline=newline)
     try:
         yield file
         file.flush()
@@ -43,9 +45,9 @@ def atomic_write(path: str | Path, mode: str = "wb") -> Iterator[IO[Any]]:
         raise
 
 
-def write_text(path: str | Path, text: str) -> None:
+def write_text(path: str | Path, text: str, *, private: bool = False) -> None:
     """Write a text as `atomic_write` does."""
-    with atomic_write(path, "w") as file:
+    with atomic_write(path, "w", private=private) as file:
         file.write(text)
 
 

@@ -1,10 +1,10 @@
 """Drive files to begin with: the template, and the axes of the library."""
 
-import tomllib
 from pathlib import Path
 
 from diffdrive.errors import DriveFileError
 from diffdrive.library.search import library_file, library_files
+from diffdrive.support.text_file import read_toml
 from experiments.app.workspace import AppError
 
 TEMPLATE = "drive"
@@ -22,10 +22,10 @@ def drive_files() -> dict[str, str]:
 def _title(path: Path) -> str:
     # not diffdrive.axes(), which reads the axis and so imports JAX: half a second for a list of names
     try:
-        title = tomllib.loads(path.read_text(encoding="utf-8")).get("provenance", {}).get("title", "")
-    except (OSError, ValueError, AttributeError):
-        return ""
-    return str(title)
+        provenance = read_toml(path, DriveFileError, "it was there a moment ago").get("provenance", {})
+    except DriveFileError:
+        return "cannot be read; diffdrive axes says why"
+    return str(provenance.get("title", "")) if isinstance(provenance, dict) else ""
 
 
 def drive_file(name: str) -> bytes:

@@ -7,10 +7,13 @@ from typing import Any, Literal
 
 import psutil
 
-from experiments.app.console import LogText, read_console
+from diffdrive.support.atomic_write import write_text
+from experiments.app.console import BEGIN, LogText, read_console
 from experiments.app.workspace import read_json, write_json
 
-State = Literal["waiting", "running", "stopping", "stopped", "done", "doubtful", "refused", "killed", "failed"]
+State = Literal[
+    "waiting", "running", "stopping", "stopped", "done", "doubtful", "refused", "killed", "failed", "unconfirmed"
+]
 ALIVE: tuple[State, ...] = ("waiting", "running", "stopping")
 OF_CODE: dict[int, State] = {0: "done", 2: "refused", 3: "doubtful", 130: "stopped"}
 SAME_START = 1.0  # s: the system counts a process's start in ticks, and its own clock may be set meanwhile
@@ -39,7 +42,7 @@ class Job:
 
     @property
     def record(self) -> dict[str, Any]:
-        """job.json: arguments, title, what is wanted, and the process that was started last."""
+        """job.json: arguments with their seal, title, what is wanted, and the process that was started last."""
         record = read_json(self.folder / "job.json")
         return record if isinstance(record, dict) else {}
 
@@ -50,7 +53,8 @@ class Job:
     @property
     def arguments(self) -> list[str]:
         """The command line, without `diffdrive`."""
-        return [str(one) for one in self.record.get("arguments", [])]
+        kept = self.record.get("arguments")
+        return [str(one) for one in kept] if isinstance(kept, list) else []
 
     @property
     def command(self) -> str:
@@ -67,6 +71,11 @@ class Job:
         """exit.json: the code and when; None until the command has ended by itself."""
         ended = read_json(self.folder / "exit.json")
         return ended if isinstance(ended, dict) else None
+
+    def refuse(self, reason: str) -> None:
+        """End it before it begins, as a command ends that refuses its arguments."""
+        write_text(self.log, f"{BEGIN}{' '.join(self.arguments)}\nerror: {reason}\n")
+        write_json(self.folder / "exit.json", {"code": 2, "at": time.time()})
 
     def process(self) -> psutil.Process | None:
         """The process that works on it; None where it is gone, or where its number is another's by now."""
@@ -92,6 +101,8 @@ class Job:
             return "stopping" if record.get("wanted") == "stop" else "running"
         if record.get("wanted") == "stop":
             return "stopped"
+        if record.get("wanted") == "confirm":
+            return "unconfirmed"
         # between the end of the process and the look at its exit there may have been the one at exit.json
         return "waiting" if "process" not in record else "killed" if self.ended is None else self.state
 

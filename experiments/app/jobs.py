@@ -1,6 +1,7 @@
 """Starting, stopping and continuing jobs. What is to be done stands on the disk; this is who does it."""
 
 import os
+import secrets
 import shutil
 import signal
 import subprocess
@@ -13,7 +14,9 @@ from pathlib import Path
 import psutil
 
 import experiments
+from experiments.app.bounds import is_linked, refusal
 from experiments.app.job import ALIVE, Job
+from experiments.app.seal import Seal
 from experiments.app.workspace import AppError, Workspace, write_json
 
 INTERRUPT = getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT)  # Windows has no Ctrl-C for another process
@@ -28,9 +31,13 @@ SLOW_TO_STOP = 20.0  # s: a command ends within 15 s of a signal (docs/how-to/re
 class Jobs:
     """The jobs of a workspace; only one app at a time has this."""
 
-    def __init__(self, workspace: Workspace, program: Sequence[str] = PROGRAM) -> None:
-        """`program` takes the folder of a job, and runs it."""
+    def __init__(self, workspace: Workspace, program: Sequence[str] = PROGRAM, seal: Seal | None = None) -> None:
+        """`program` takes the folder of a job, and runs it.
+
+        Jobs that wait begin by themselves if an app with the same `seal` made them; without one, only this one's do.
+        """
         self.workspace, self._program = workspace, program
+        self._seal = seal or Seal(secrets.token_bytes())
         self._lock = threading.RLock()
         self._children: list[subprocess.Popen[bytes]] = []
         self._looks: list[subprocess.Popen[bytes]] = []  # those of them that look at a file
@@ -38,7 +45,8 @@ class Jobs:
 
     def all(self) -> list[Job]:
         """All jobs, the newest first."""
-        folders = (one for one in self.workspace.jobs.iterdir() if (one / "job.json").is_file())
+        found = (one for one in self.workspace.jobs.iterdir() if (one / "job.json").is_file())
+        folders = (one for one in found if not is_linked(one))  # else what is kept of it would be kept elsewhere
         return [Job(folder) for folder in sorted(folders, key=lambda folder: folder.name, reverse=True)]
 
     def get(self, name: str) -> Job:
@@ -66,6 +74,7 @@ class Jobs:
             # --out before the logs: after the -- of compare it would be read as well, and here it is the same for all
             full = [command, "--out", out, *made]
             record = {"arguments": full, "asked": arguments, "title": title, "wanted": "run", "at": time.time()}
+            record["seal"] = self._seal.of(job.folder, *full)
             try:
                 write_json(job.folder / "job.json", record)
             except OSError:  # a full disk: no number without a job
@@ -82,13 +91,14 @@ class Jobs:
         path = self.workspace.file(name)
         job = Job(self.workspace.look_folder(name))
         with self._lock:
-            if not (job.folder / "job.json").is_file():
+            arguments = ["look", f"files/{name}", job.out.relative_to(self.workspace.folder).as_posix()]
+            if is_linked(job.folder) or job.arguments != arguments:  # there is none, or one that came with the folder
+                _delete(job.folder)
                 job.folder.mkdir(parents=True, exist_ok=True)
-                arguments = ["look", f"files/{name}", job.out.relative_to(self.workspace.folder).as_posix()]
                 write_json(job.folder / "job.json", {"arguments": arguments, "title": path.name, "wanted": "run"})
             self._looks = [child for child in self._looks if child.poll() is None]
             if job.state == "waiting" and len(self._looks) < MOST_LOOKS:
-                self._looks.append(self._launch(job))
+                self._looks += filter(None, [self._launch(job)])
         return job
 
     def look_again(self, name: str) -> Job:
@@ -96,7 +106,7 @@ class Jobs:
         with self._lock:
             job = Job(self.workspace.look_folder(name))
             if job.state not in ALIVE:
-                shutil.rmtree(job.folder, ignore_errors=True)
+                _delete(job.folder)
             return self.look(name)
 
     def proceed(self, job: Job) -> None:
@@ -107,7 +117,8 @@ class Jobs:
                 return
             record = job.record
             record.pop("process", None)
-            write_json(job.folder / "job.json", record | {"wanted": "run"})
+            seal = self._seal.of(job.folder, *job.arguments)  # who asks has its command line before the eyes
+            write_json(job.folder / "job.json", record | {"wanted": "run", "seal": seal})
             (job.folder / "exit.json").unlink(missing_ok=True)
         self.tick()
 
@@ -150,12 +161,20 @@ class Jobs:
             waiting = [(job, job.state) for job in reversed(self.all())]
             busy = any(state in ("running", "stopping") and job.command not in SHORT for job, state in waiting)
             for job, state in waiting:
+                if state == "waiting" and not self._seal.holds(job.record.get("seal"), job.folder, *job.arguments):
+                    job.update(wanted="confirm")
+                    continue
                 if state != "waiting" or (busy and job.command not in SHORT):
                     continue
-                self._launch(job)
-                busy = busy or job.command not in SHORT
+                begun = self._launch(job)
+                busy = busy or (begun is not None and job.command not in SHORT)
 
-    def _launch(self, job: Job) -> subprocess.Popen[bytes]:
+    def _launch(self, job: Job) -> subprocess.Popen[bytes] | None:
+        """Start the process of a job; None where it may not run, which then is its result."""
+        reason = refusal(job, self.workspace.folder)
+        if reason:
+            job.refuse(reason)
+            return None
         root = str(Path(experiments.__file__).resolve().parents[1])
         path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
         # a session of its own: Ctrl-C in the terminal of the app is the app's, which then asks its jobs
@@ -188,3 +207,10 @@ class Jobs:
             for job in running:
                 self.stop(job)
             return len(running)
+
+
+def _delete(folder: Path) -> None:
+    """Delete the folder of a job, or the link in its place."""
+    if folder.is_symlink():
+        folder.unlink()
+    shutil.rmtree(folder, ignore_errors=True)

@@ -44,12 +44,14 @@ class Workspace:
     """The folder and its files."""
 
     def __init__(self, folder: Path) -> None:
-        """Make the folder; raises `AppError` where that cannot be."""
+        """Make the folder, private; one that is there keeps its permissions. Raises `AppError` where that cannot be."""
         self.folder = folder.resolve()
         self._lock = threading.Lock()
         try:
+            self.folder.parent.mkdir(parents=True, exist_ok=True)
+            self.folder.mkdir(0o700, exist_ok=True)
             for part in PARTS:
-                (self.folder / part).mkdir(parents=True, exist_ok=True)
+                (self.folder / part).mkdir(exist_ok=True)
         except OSError as problem:
             raise AppError(f"--folder {folder}: cannot be used ({problem.strerror}); name another folder") from None
 

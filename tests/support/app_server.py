@@ -20,7 +20,7 @@ class AppServer:
             [sys.executable, "-c", "from experiments.cli.main import main; main()", "app", "--folder",
              str(self.folder), "--no-show"],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            env=os.environ | {"PYTHONPATH": str(ROOT)}, cwd=ROOT,
+            env=os.environ | {"PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(self.folder.parent / "state")}, cwd=ROOT,
         )  # fmt: skip
         line = self.process.stdout.readline()
         assert line.startswith("diffdrive app: http://127.0.0.1:"), line + self.process.stdout.read()

@@ -53,7 +53,7 @@ class Experiment(NamedTuple):
     motion: str  # as `diffdrive simulate --motion` takes it; "" where none is needed or none can be tried
     between: list[str]
     tells: float  # difference of the costs that it would make
-    says: str
+    says: str  # a whole sentence
     reference: Motion | None = None  # that motion, to be run
 
 
@@ -65,21 +65,21 @@ def next_experiment(found: Diagnosis, description: Axis) -> Experiment:
     verdict = found.verdict
     causes = [one for one in verdict.beliefs if one.found]
     if found.excitation_deficits:
-        return Experiment("", [], 0.0, f"log {found.excitation_deficits[0].motion}")
+        return Experiment("", [], 0.0, f"Log {found.excitation_deficits[0].motion}.")
     if verdict.verdict == "none":
-        return Experiment("", [], 0.0, "nothing is left to decide")
+        return Experiment("", [], 0.0, "Nothing is left to decide.")
     if verdict.verdict == "unknown" and not causes and verdict.unexplained == 0.0:
-        return Experiment("", [], 0.0, f"measure that parameter by itself, no motion is proposed: {verdict.says}")
+        return Experiment("", [], 0.0, f"Measure that parameter by itself, no motion is proposed: {verdict.says}.")
     pairs = [(cause, *rival) for cause in causes for rival in _rivals(found, cause)]
     if not pairs and verdict.verdict == "unknown":
         return _exciting(found, description)
     if not pairs:
-        says = "these logs leave no rival: no further motion is needed"
+        says = "These logs leave no rival: no further motion is needed."
         return Experiment("", [one.effect for one in causes], 0.0, says)
     first, rival, fitted = pairs[0]
     between = [first.effect, rival]
     if isinstance(description.controller, UnknownController):
-        return Experiment("", between, 0.0, "no motion can be tried: the drive file names no controller to simulate")
+        return Experiment("", between, 0.0, "No motion can be tried: the drive file names no controller to simulate.")
     limits, about = available_limits(found.logged.lanes, description.limits)
     tried = candidates(description.drive, limits, description.sampling.rate, about)
 
@@ -90,11 +90,11 @@ def next_experiment(found: Diagnosis, description: Axis) -> Experiment:
     best, tells = _surest({name: tells_of(name, STEPS) for name in tried}, lambda name: tells_of(name, MORE))
     if tells < ENOUGH:
         says = (
-            f"none of the {len(tried)} motions tried would distinguish {between[0]} from {between[1]} "
-            f"(the best by {tells:.0f} in -2 log likelihood, {ENOUGH:.0f} being enough)"
+            f"None of the {len(tried)} motions tried would distinguish {between[0]} from {between[1]} "
+            f"(the best by {tells:.0f} in -2 log likelihood, {ENOUGH:.0f} being enough)."
         )
         return Experiment("", between, tells, says)
-    says = f"{best} would distinguish {between[0]} from {between[1]} (by {tells:.0f} in -2 log likelihood)"
+    says = f"The motion {best} would distinguish {between[0]} from {between[1]} (by {tells:.0f} in -2 log likelihood)."
     return Experiment(best, between, tells, says, tried[best])
 
 
@@ -156,7 +156,9 @@ class _Axis(NamedTuple):
 def _exciting(found: Diagnosis, description: Axis) -> Experiment:
     """The motion that dwells where the recalibrated drive's gap lies."""
     if not found.gap.told:
-        return Experiment("", [], 0.0, "no motion is proposed for a drive file so far from its logs: units, signs?")
+        return Experiment(
+            "", [], 0.0, "No motion is proposed for a drive file so far from its logs: correct units, signs."
+        )
     limits = description.limits
     counted = np.asarray(found.logged.lanes.counts) > 0
     position = np.asarray(found.logged.lanes.position)[counted]
@@ -172,15 +174,15 @@ def _exciting(found: Diagnosis, description: Axis) -> Experiment:
     telling = [one for one in found.where if one.p_value < SIGNIFICANT and one.dimension not in ELSEWHERE]
     text, does = _dwelling(telling[0] if telling else None, at)
     lies = (
-        f"of what the recalibrated drive leaves unexplained, {telling[0].says}"
+        f"Of what the recalibrated drive leaves unexplained, {telling[0].says}"
         if telling
-        else "the gap lies nowhere in particular"
+        else "The gap lies nowhere in particular"
     )
     try:
         run = require_within(_built(text, description.sampling.rate), limits)
     except MotionError as problem:
-        return Experiment("", [], 0.0, f"{lies}; no motion is proposed: {problem}")
-    return Experiment(text, [], 0.0, f"{lies}: log {text}, which {does}", run)
+        return Experiment("", [], 0.0, f"{lies}; no motion is proposed: {problem}.")
+    return Experiment(text, [], 0.0, f"{lies}: log {text}, which {does}.", run)
 
 
 def _dwelling(region: Region | None, at: _Axis) -> tuple[str, str]:

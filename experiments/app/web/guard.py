@@ -13,7 +13,7 @@ import hmac
 from collections.abc import Awaitable, Callable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs
+from urllib.parse import parse_qsl, quote, urlencode
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -89,17 +89,19 @@ class Guard:
         return scope["method"] in ("GET", "HEAD") and str(scope["path"]).startswith(self._results)
 
     def _brings_key(self, scope: Scope) -> bool:
-        keys = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("key", [""])
-        if keys[0] in self._tickets:
-            self._tickets.remove(keys[0])
+        key = dict(reversed(_query(scope))).get("key", "")  # the first of several
+        if key in self._tickets:
+            self._tickets.remove(key)
             return True
-        return hmac.compare_digest(keys[0].encode(), self._key.encode())
+        return hmac.compare_digest(key.encode(), self._key.encode())
 
     async def _let_in(self, scope: Scope, send: Send) -> None:
         """Keep the key as a cookie, and take it out of the address: it is not to stand in the history."""
-        path = "/" + str(scope["path"]).lstrip("/").replace("\\", "")
+        path = quote("/" + str(scope["path"]).lstrip("/\\"))  # two of either would be another host
+        rest = urlencode([(name, value) for name, value in _query(scope) if name != "key"])
+        address = f"{path}?{rest}" if rest else path
         cookie = f"{self._cookie}={self._key}; Path=/; HttpOnly; SameSite=Strict"
-        headers = [(b"location", path.encode("ascii", "ignore")), (b"set-cookie", cookie.encode())]
+        headers = [(b"location", address.encode()), (b"set-cookie", cookie.encode())]
         await send({"type": "http.response.start", "status": 303, "headers": headers})
         await send({"type": "http.response.body", "body": b""})
 
@@ -113,6 +115,10 @@ class Guard:
             await send(message)
 
         return sending
+
+
+def _query(scope: Scope) -> list[tuple[str, str]]:
+    return parse_qsl(scope.get("query_string", b"").decode("latin-1"), keep_blank_values=True)
 
 
 async def _refuse(scope: Scope, send: Send, text: bytes) -> None:

@@ -23,6 +23,7 @@ WORDS: dict[State, tuple[str, str, str]] = {  # of a state: the word, its icon, 
     "refused": ("refused", "block", "dd-bad"),
     "killed": ("interrupted", "power_off", "dd-warn"),
     "failed": ("failed", "report", "dd-bad"),
+    "unconfirmed": ("waits for you", "help", "dd-warn"),
 }
 MOST_LOG = 5 << 20  # bytes of app-log.txt, beyond which it begins again
 

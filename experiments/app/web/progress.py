@@ -31,7 +31,7 @@ NEXT = {  # of a command: what its drive file, or its answer, leads to
 }
 IDENTIFIED = "identified.toml"  # what the commands after `identify` begin with
 AGAIN: dict[State, str] = {  # a refusal, too: room was made on the disk, or the drive file was mended
-    "stopped": "Continue", "killed": "Continue", "failed": "Continue", "refused": "Try again",
+    "stopped": "Continue", "killed": "Continue", "failed": "Continue", "refused": "Try again", "unconfirmed": "Start",
 }  # fmt: skip
 SAYS: dict[State, str] = {
     "waiting": "Another run takes the processor; this one begins after it.",
@@ -39,6 +39,7 @@ SAYS: dict[State, str] = {
     "stopped": "It was stopped. What was found so far stays; it goes on from there.",
     "killed": "Its process was ended from outside, or ran out of memory. It goes on from what it had kept.",
     "failed": "Something unexpected happened. What it printed is in the log; its results so far stay.",
+    "unconfirmed": "It came with the folder: you have not asked for it here. Start runs the command line below.",
 }
 
 

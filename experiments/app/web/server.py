@@ -1,6 +1,7 @@
 """The server: one for a workspace, on the loopback address, with the port and key that it had before."""
 
 import contextlib
+import json
 import os
 import secrets
 import socket
@@ -8,6 +9,7 @@ import threading
 import webbrowser
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
@@ -19,13 +21,15 @@ from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.staticfiles import StaticFiles
 
 from experiments.app.jobs import Jobs
+from experiments.app.private import is_private, user_secret, write_private
+from experiments.app.seal import Seal
 from experiments.app.web.guard import Guard, results_token
 from experiments.app.web.home import home
 from experiments.app.web.inspect import inspect
 from experiments.app.web.layout import note_failure, page
 from experiments.app.web.progress import progress
 from experiments.app.web.routes import routes
-from experiments.app.workspace import AppError, Workspace, read_json, write_json
+from experiments.app.workspace import AppError, Workspace, read_json
 
 HOST = "127.0.0.1"
 LOCK = ".app.lock"
@@ -46,9 +50,9 @@ def serve(workspace: Workspace, port: int, show: bool) -> None:
     with _alone(workspace), contextlib.closing(_listen(workspace, port)) as listening:
         workspace.clean()
         address = listening.getsockname()[1]
-        key = _key(workspace)
-        write_json(workspace.folder / KEPT, {"port": address, "key": key})
-        jobs = Jobs(workspace)
+        seal = Seal(user_secret())
+        key = _key(workspace, address, seal)
+        jobs = Jobs(workspace, seal=seal)
         url = f"http://{HOST}:{address}/?key={key}"
         print(f"diffdrive app: {url}\nfolder: {workspace.folder}\nCtrl-C ends it", flush=True)
         ticket = secrets.token_urlsafe(32)
@@ -96,7 +100,7 @@ def _alone(workspace: Workspace) -> Iterator[None]:
     try:
         lock.acquire()
     except Timeout:
-        kept = read_json(workspace.folder / KEPT) or {}
+        kept = _kept(workspace)
         where = f": http://{HOST}:{kept.get('port')}/?key={kept.get('key')}"
         raise AppError(f"the app runs already in this folder{where}, or name another --folder") from None
     try:
@@ -107,7 +111,7 @@ def _alone(workspace: Workspace) -> Iterator[None]:
 
 def _listen(workspace: Workspace, port: int) -> socket.socket:
     """A socket at the port; of 0 at that of the last time, so that open pages find it again, else at a free one."""
-    kept = read_json(workspace.folder / KEPT) or {}
+    kept = _kept(workspace)
     last = kept.get("port") if isinstance(kept.get("port"), int) else 0
     for one in [port] if port else [last, 0]:
         listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -122,16 +126,23 @@ def _listen(workspace: Workspace, port: int) -> socket.socket:
     raise AppError(f"--port {port}: is taken, or not to be had; name another, or none")
 
 
-def _key(workspace: Workspace) -> str:
-    """The key of the workspace, which its user alone can read; made once, so that a bookmark lasts."""
-    kept = read_json(workspace.folder / KEPT) or {}
-    if isinstance(kept.get("key"), str) and len(kept["key"]) >= 32:
-        return str(kept["key"])
-    path = workspace.folder / KEPT
-    path.unlink(missing_ok=True)
-    with contextlib.suppress(OSError):
-        workspace.folder.chmod(0o700)  # what is replaced in one step has new permissions; the folder's hold
-    return secrets.token_urlsafe(32)
+def _key(workspace: Workspace, port: int, seal: Seal) -> str:
+    """The key of the workspace, kept with the port where its user alone can read it; it lasts, and so does a bookmark.
+
+    Where others could read it, or made it, it is made anew.
+    """
+    path, kept = workspace.folder / KEPT, _kept(workspace)
+    key = str(kept.get("key"))
+    if not is_private(path) or not seal.holds(kept.get("seal"), workspace.folder, key):
+        key = secrets.token_urlsafe(32)
+    write_private(path, json.dumps({"port": port, "key": key, "seal": seal.of(workspace.folder, key)}) + "\n")
+    return key
+
+
+def _kept(workspace: Workspace) -> dict[str, Any]:
+    """The port and key of the last time."""
+    kept = read_json(workspace.folder / KEPT)
+    return kept if isinstance(kept, dict) else {}
 
 
 def _application(jobs: Jobs, results: str) -> FastAPI:

@@ -71,7 +71,7 @@ def print_answers(report: Report, details: Details) -> None:
         report.record("detection_limits", LIMITS, [limit_row(one) for one in details["detection_limits"]])
         report.say(f"\n{details['logs_would_show']}.")
     for one in details["hardly_told_apart"]:
-        report.say(f"  {one['says']}")
+        report.say(f"  {one['says']}.")
     report.say(f"\nNext: {details['next_experiment']['says']}")
 
 

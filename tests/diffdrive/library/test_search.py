@@ -8,8 +8,8 @@ import pytest
 import diffdrive as dd
 from diffdrive.errors import DriveFileError
 from diffdrive.library import OWN_FOLDER
-from diffdrive.library.listing import markdown
-from diffdrive.library.search import FOLDERS, drive_path
+from diffdrive.library.listing import library_axis, markdown
+from diffdrive.library.search import FOLDERS
 
 CNC = (OWN_FOLDER / "cnc.toml").read_text(encoding="utf-8")
 HEAVY = CNC.replace("mass = 450.0 ", "mass = 500.0 ")
@@ -118,10 +118,28 @@ def test_what_is_no_drive_file_is_no_axis(working_folder, own_folder):
     (own_folder / ".hidden.toml").write_text("", encoding="utf-8")
     (own_folder / "notes.txt").write_text("", encoding="utf-8")
     assert set(dd.axes()) == {"cnc", "emps", "gantry", "linear", "paper", "vertical"}
-    kept(own_folder, "broken", "[plant\n")
-    with pytest.raises(DriveFileError, match=r"broken\.toml: not a TOML file"):
-        dd.axes()
-    assert drive_path("broken") == own_folder / "broken.toml"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[plant\n", "not a TOML file"),
+        ("[plant]\nmass = 450.0\n", "damping"),
+        (CNC.replace("title =", "titel ="), "titel"),
+    ],
+)
+def test_an_unfinished_file_is_named_with_its_error_and_hides_no_other(working_folder, own_folder, text, says):
+    before = markdown().splitlines()
+    path = kept(own_folder, "broken", text)
+    [row] = set(markdown().splitlines()) - set(before)
+    assert set(before) < set(markdown().splitlines())
+    assert row.startswith("| broken | cannot be read |")
+    assert str(path) in row
+    assert says in row
+    assert set(dd.axes()) == {"cnc", "emps", "gantry", "linear", "paper", "vertical", "broken"}
+    for used in (dd.axes()["broken"].read, lambda: dd.read_axis("broken"), lambda: library_axis("broken").read()):
+        with pytest.raises(DriveFileError, match=says):
+            used()
 
 
 def test_an_axis_without_provenance_is_listed_by_its_file(working_folder, own_folder):

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import os
 import threading
 from pathlib import Path
 
@@ -86,6 +87,17 @@ def test_a_link_stays_a_link_and_permissions_are_those_of_any_new_file(tmp_path)
     assert link.is_symlink()
     assert there.read_text() == "new"
     assert there.stat().st_mode == plain.stat().st_mode
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such permissions")
+def test_what_is_private_is_so_before_anything_is_in_it(tmp_path):
+    path = tmp_path / "key"
+    path.write_text("old")
+    with atomic_write(path, "w", private=True) as file:
+        [temporary] = (one for one in tmp_path.iterdir() if one != path)
+        assert temporary.stat().st_mode & 0o777 == 0o600
+        file.write("new")
+    assert (path.read_text(), path.stat().st_mode & 0o777) == ("new", 0o600)
 
 
 def test_what_a_killed_process_left_goes_and_nothing_else(tmp_path):

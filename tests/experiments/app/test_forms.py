@@ -7,6 +7,7 @@ import pytest
 import typer
 
 from diffdrive.axis_file.drive_file import read_axis
+from diffdrive.library.search import FOLDERS
 from diffdrive.logs.log import READABLE
 from experiments.app import mapping
 from experiments.app.console import parse_console
@@ -130,6 +131,16 @@ def test_every_drive_file_to_begin_with_is_one(tmp_path):
         read_axis(path)
     with pytest.raises(AppError, match="no axis"):
         drive_file("../secret")
+
+
+def test_an_unfinished_file_of_the_user_hides_no_other(tmp_path, monkeypatch):
+    (tmp_path / "broken.toml").write_text("[plant\n")
+    (tmp_path / "notepad.toml").write_text('[provenance]\ntitle = "größer"\n', encoding="utf-8-sig")
+    monkeypatch.setenv(FOLDERS, str(tmp_path))
+    listed = drive_files()
+    assert {"drive", "paper", "gantry"} < set(listed)
+    assert "cannot be read" in listed["broken"]
+    assert listed["notepad"] == "größer"
 
 
 def test_a_drawing_quotes_the_names_of_columns():

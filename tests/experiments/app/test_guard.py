@@ -83,10 +83,27 @@ def test_the_printed_address_lets_in_and_its_key_leaves_the_address():
     assert b"HttpOnly; SameSite=Strict" in headers[b"set-cookie"]
 
 
-@pytest.mark.parametrize("path", ["//evil.example/", "/\\evil.example"])
+@pytest.mark.parametrize("path", ["//evil.example/", "/\\evil.example", "/\\/evil.example", "/\\\\//\\evil.example"])
 def test_the_printed_address_leads_nowhere_else(path):
     message, _ = answer({"host": OURS["host"]}, path=path, query=f"key={KEY}")
     assert dict(message["headers"])[b"location"] == b"/evil.example" + (b"/" if path.endswith("/") else b"")
+
+
+@pytest.mark.parametrize(
+    ("path", "query", "location"),
+    [
+        ("/file/üï.csv", "key={key}", "/file/%C3%BC%C3%AF.csv"),
+        ("/file/a b%?#&.csv", "key={key}", "/file/a%20b%25%3F%23%26.csv"),
+        ("/a\\..\\b", "key={key}", "/a%5C..%5Cb"),
+        ("/\t/evil.example", "key={key}", "/%09/evil.example"),
+        ("/a\r\nb: c", "key={key}", "/a%0D%0Ab%3A%20c"),
+        ("/", "do=check&key={key}", "/?do=check"),
+        ("/", "key={key}&do=check&empty=&x=%C3%BC%26", "/?do=check&empty=&x=%C3%BC%26"),
+    ],
+)
+def test_the_printed_address_leads_to_the_very_page(path, query, location):
+    message, _ = answer({"host": OURS["host"]}, path=path, query=query.replace("{key}", KEY))
+    assert dict(message["headers"])[b"location"].decode() == location
 
 
 @pytest.mark.parametrize("query", ["key=wrong", "key=", "", "key=%ff", f"key={KEY}&key=x"[:20]])

@@ -26,7 +26,7 @@ def test_a_fatal_finding_is_mended_before_any_motion(constant_force_diagnosis, c
     monkeypatch.setattr(command, "read_diagnosis_logs", lambda *_: CheckedLogs((), tuple(fatal)))
     monkeypatch.setattr(command, "save_diagnosis_figures", lambda *_: None)
     told, _ = command_for(constant_force_diagnosis)
-    assert told["next_experiment"]["says"] == "before any motion, correct lap: give the unit"
+    assert told["next_experiment"]["says"] == "Before any motion, correct lap: give the unit."
 
 
 @pytest.mark.long

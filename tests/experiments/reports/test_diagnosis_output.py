@@ -180,7 +180,7 @@ def test_the_diagnosis_is_there_whatever_fails_after_it(constant_force_diagnosis
         command_for(constant_force_diagnosis)
     kept = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert kept["verdict"] == "effect"
-    assert kept["next_experiment"]["says"].startswith("not looked for")
+    assert kept["next_experiment"]["says"].startswith("Not looked for")
 
 
 def test_a_diagnosis_that_is_interrupted_leaves_what_it_knew(monkeypatch, tmp_path):

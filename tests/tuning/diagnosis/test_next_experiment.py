@@ -134,7 +134,7 @@ def test_where_no_motion_tells_it_is_said_how_many_were_tried(monkeypatch):
     pair = belief("cogging", alternatives=["lead_error"]), belief("lead_error", found=False)
     offer = next_experiment(diagnosed("effect", *pair), DRIVE)
     assert offer.motion == ""
-    assert f"none of the {len(MOTIONS)} motions tried" in offer.says
+    assert f"None of the {len(MOTIONS)} motions tried" in offer.says
 
 
 def test_the_rival_of_a_second_effect_counts(monkeypatch):
@@ -213,8 +213,8 @@ def test_unknown_is_never_content_and_needs_no_controller():
         assert offer.motion.startswith("staircase:")
         assert "nowhere in particular" in offer.says
     moved = diagnosed("unknown", unexplained=0.0, says="mass had to be moved by +12 %")
-    assert next_experiment(moved, DRIVE).says.startswith("measure that parameter by itself")
-    assert next_experiment(diagnosed("none"), DRIVE).says == "nothing is left to decide"
+    assert next_experiment(moved, DRIVE).says.startswith("Measure that parameter by itself")
+    assert next_experiment(diagnosed("none"), DRIVE).says == "Nothing is left to decide."
 
 
 def test_a_motion_that_dwells_lies_about_the_middle_of_where_the_logs_went():
@@ -236,4 +236,4 @@ def test_a_motion_that_the_axis_cannot_do_is_not_proposed():
     offer = next_experiment(diagnosed("unknown", where=[region("position", "7 to 9 mm")]), narrow)
     assert offer.motion == ""
     assert offer.reference is None
-    assert "no motion is proposed" in offer.says
+    assert "no motion is proposed" in offer.says.casefold()

@@ -5,11 +5,12 @@ from collections.abc import Iterable
 
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.machine import AS_LOGARITHMS, FrictionShape
-from diffdrive.support.spans import rescaled
-from tuning.diagnosis.limits.detection import DetectionLimit
+from diffdrive.support.spans import MAX_DIGITS, rescaled
+from tuning.diagnosis.limits.detection import AMPLITUDE, DetectionLimit
 from tuning.diagnosis.limits.isolability import Rivalry
 
 DIGITS = 2  # of a size: a limit is no measurement
+PLAIN = 6  # digits before the point, beyond which a number is written with a power of ten
 
 
 def limit_says(limit: DetectionLimit) -> str:
@@ -20,12 +21,16 @@ def limit_says(limit: DetectionLimit) -> str:
 
 
 def rivalry_says(one: Rivalry) -> str:
-    """Up to which size an effect may be another, as in "cogging, amplitude from 0.2 N to 3 N, may be lead_error"."""
-    seen, isolable = one.seen, one.isolable
-    up_to = "" if isolable is None else f" to {_sized(seen, isolable)}"
+    """Up to which size an effect may be another, as in "tilt, force from 2 N to 3 N: sag, ..., is not excluded".
+
+    A rival that does little of the same may not be excluded either: the share of a wave is of all its phases, and the
+    hardest one decides; and an effect of more numbers has to gain more than its rival.
+    """
+    seen, is_wave = one.seen, one.seen.parameter == AMPLITUDE
     return (
-        f"{seen.effect}, {seen.parameter} from {_sized(seen, seen.size or 0.0)}{up_to}, may be {one.rival}, which does "
-        f"{100.0 * one.share:.0f} % of the same"
+        f"{seen.effect}, {seen.parameter} {_range(seen, seen.size or 0.0, one.isolable)}: {one.rival}, which does "
+        f"{100.0 * one.share:.0f} % of the same{' on average over the phases' if is_wave else ''}, is not excluded"
+        f"{' at the hardest phase' if is_wave else ''}"
     )
 
 
@@ -41,16 +46,27 @@ def limits_say(limits: Iterable[DetectionLimit]) -> str:
     return "; ".join(part for part in (says, none) if part)
 
 
-def _sized(limit: DetectionLimit, size: float) -> str:
+def _range(limit: DetectionLimit, low: float, high: float | None) -> str:
+    """From one size to another, or on; with as many digits as show that they differ."""
+    if high is None:
+        return f"from {_sized(limit, low)} on"
+    for digits in range(DIGITS, MAX_DIGITS + 1):
+        ends = [_sized(limit, one, digits) for one in (low, high)]
+        if ends[0] != ends[1]:
+            return f"from {ends[0]} to {ends[1]}"
+    return f"of {_sized(limit, low)}"
+
+
+def _sized(limit: DetectionLimit, size: float, digits: int = DIGITS) -> str:
     if limit.effect == FrictionShape.name and limit.parameter in AS_LOGARITHMS:
-        return f"{_rounded(100.0 * math.expm1(size))} %"
+        return f"{_rounded(100.0 * math.expm1(size), digits)} %"
     if limit.effect == LoopDelay.name:
-        return f"{_rounded(size)} control periods"
+        return f"{_rounded(size, digits)} control periods"
     if limit.unit == "1":
-        return f"{_rounded(100.0 * size)} %"
+        return f"{_rounded(100.0 * size, digits)} %"
     [(value, _, _)], unit = rescaled([(size, None, None)], limit.unit)
-    return f"{_rounded(value)} {unit.replace('*', ' ')}"
+    return f"{_rounded(value, digits)} {unit.replace('*', ' ')}"
 
 
-def _rounded(value: float) -> str:
-    return f"{float(f'{value:.{DIGITS}g}'):g}"
+def _rounded(value: float, digits: int) -> str:
+    return f"{float(f'{value:.{digits}g}'):.{max(digits, PLAIN)}g}"

@@ -117,6 +117,24 @@ def test_logs_of_a_motion_that_tells_everything_leave_no_rivals():
 def test_a_rivalry_in_words():
     seen = DetectionLimit("cogging", "amplitude", "N", 0.23, False)
     assert rivalry_says(Rivalry(seen, "lead_error", 0.934, 3.4)) == (
-        "cogging, amplitude from 0.23 N to 3.4 N, may be lead_error, which does 93 % of the same"
+        "cogging, amplitude from 0.23 N to 3.4 N: lead_error, which does 93 % of the same on average over the phases, "
+        "is not excluded at the hardest phase"
     )
-    assert "from 0.23 N, may be" in rivalry_says(Rivalry(seen, "lead_error", 1.0, None))
+    assert "from 0.23 N on: lead_error" in rivalry_says(Rivalry(seen, "lead_error", 1.0, None))
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "unit", "low", "high", "says"),
+    [
+        ("friction_shape", "viscous", "N*s/m", 236.808, 244.880, "viscous from 237 N s/m to 245 N s/m: "),
+        ("friction_shape", "breakaway_gap", "1", 0.121080, 0.123171, "breakaway_gap from 12.9 % to 13.1 %: "),
+        ("backlash", "gap", "m", 4.00001e-7, 4.00002e-7, "gap from 0.400001 um to 0.400002 um: "),
+        ("applied_load", "load", "N", 1234567.1, 1234568.2, "load from 1234567 N to 1234568 N: "),
+        ("applied_load", "load", "N", 14854.0, 18456.0, "load from 15000 N to 18000 N: "),
+        ("applied_load", "load", "N", 5.0, 5.0 * (1.0 + 1e-15), "load of 5 N: "),
+    ],
+)
+def test_the_ends_of_a_range_have_the_digits_that_tell_them_apart(effect, parameter, unit, low, high, says):
+    seen = DetectionLimit(effect, parameter, unit, low, False)
+    told = rivalry_says(Rivalry(seen, "force_gain", 0.24, high))
+    assert told == f"{effect}, {says}force_gain, which does 24 % of the same, is not excluded"
