@@ -22,7 +22,8 @@ def test_any_text_gives_a_name_that_is_taken(text):
 
 
 @pytest.mark.parametrize("name", ["", "9axis", "a__b", "a-b", "int", "TASK", "_a", "a_", "x" * 25, "a b", "é",
-                                  "class", "TON", "method", "st", "controller", "done", "template", "con", "COM1"])  # fmt: skip
+                                  "class", "TON", "method", "st", "controller", "done", "template", "con",
+                                  "COM1"])  # fmt: skip
 def test_a_name_that_some_language_refuses_is_refused(name):
     with pytest.raises(ParameterError, match="name"):
         checked_name(name)
