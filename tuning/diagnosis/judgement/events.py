@@ -33,7 +33,9 @@ def least_foreseen(fitted: Fitted) -> Event:
     """That moment of the logs.
 
     Where the filter is lost it begins again: one count that went astray is no event, nor what follows of it. A table
-    that rests shows no noise: that makes what moves no less noisy than was expected.
+    that rests shows no noise: that makes what moves no less noisy than was expected. While the scale shows one count or
+    two neighbours, the error of its counts is no noise from sample to sample but one and the same: there a position
+    that lies within half a count of the foreseen is as foreseen, and of others the rest counts.
     """
     logged, filtered = fitted.model.logged, fitted.filtered
     unit = np.asarray(filtered.innovation_std) * np.sqrt(max(float(filtered.noise_scale_sq), 1.0))
@@ -43,7 +45,15 @@ def least_foreseen(fitted: Fitted) -> Event:
         astray[:, 1:] |= astray[:, :-1]
     counted = np.where(astray, 0.0, np.asarray(logged.lanes.counts))
     wide = min(max(SHORTEST, round(MOMENT * logged.sampling.rate)), off.shape[1])
-    sums, freedom = (_summed(one, wide) for one in (np.where(astray, 0.0, off) ** 2 * counted, counted))
+    count = float(logged.drive.sensor.resolution or 0.0)
+    beyond = np.maximum(off - 0.5 * count / unit, 0.0)
+    shown = np.lib.stride_tricks.sliding_window_view(np.asarray(logged.lanes.position), wide, axis=1)
+    neighbours = np.ptp(shown, axis=2) < 1.5 * count
+    moving, resting, freedom = (
+        _summed(one, wide)
+        for one in (np.where(astray, 0.0, off) ** 2 * counted, np.where(astray, 0.0, beyond) ** 2 * counted, counted)
+    )
+    sums = np.where(neighbours, resting, moving)
     logs = np.where(freedom > 0.0, chi2.logsf(sums, np.maximum(freedom, 1.0)), 0.0)
     lane, begins = np.unravel_index(int(logs.argmin()), logs.shape)
     decades = (logs[lane, begins] + np.log(max(int(np.count_nonzero(freedom)), 1))) / np.log(10.0)

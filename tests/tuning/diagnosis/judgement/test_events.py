@@ -13,11 +13,13 @@ NONE = Verdict("none", [], 0.0, "no effect is missing")
 NOISE = np.random.default_rng(5).standard_normal((LANES, SAMPLES))
 
 
-def fitted(innovation, counts=None):
+def fitted(innovation, counts=None, position=None, resolution=None):
     """A fit whose innovations, expected to scatter by 2 um with noises three times what was thought, are these."""
-    lanes = SimpleNamespace(counts=np.ones_like(innovation) if counts is None else counts)
+    position = 1e-6 * np.arange(innovation.shape[1]) + np.zeros_like(innovation) if position is None else position
+    lanes = SimpleNamespace(counts=np.ones_like(innovation) if counts is None else counts, position=position)
     sampling = SimpleNamespace(rate=RATE, period=1.0 / RATE)
-    logged = SimpleNamespace(lanes=lanes, sampling=sampling, starts=np.array([0.0, 30.0]), owner=(0, 1))
+    drive = SimpleNamespace(sensor=SimpleNamespace(resolution=resolution))
+    logged = SimpleNamespace(lanes=lanes, sampling=sampling, starts=np.array([0.0, 30.0]), owner=(0, 1), drive=drive)
     filtered = SimpleNamespace(
         innovation=innovation * 6e-6, innovation_std=np.full_like(innovation, 2e-6), noise_scale_sq=9.0
     )
@@ -75,6 +77,21 @@ def test_a_table_that_rests_most_of_the_time_makes_no_event_of_its_motion():
     assert least_foreseen(quiet).decades > -3.0
     quiet.filtered.innovation[0, 18_000:18_010] += 8e-6
     assert least_foreseen(quiet).decades < CHANCE
+
+
+def test_a_count_that_flips_at_rest_is_no_event_and_a_table_that_is_pushed_is():
+    """Beside the edge of a count the same count returns again and again: chance would not do so, and nothing moves."""
+    count, off = 20e-6, NOISE.copy()  # a step of the scale is 3.3 of its scatters
+    position = np.tile(count * np.floor(0.25 * np.arange(SAMPLES)), (LANES, 1))
+    position[:, 7_900:8_100] = position[:, 7_900:7_901] + count * (np.arange(200) % 2)
+    off[0, 8_000:8_010] = 3.3
+    assert least_foreseen(fitted(off)).decades < CHANCE
+    assert downgraded_by_event(NONE, fitted(off, position=position, resolution=count)) == NONE
+    pushed = position.copy()
+    pushed[0, 8_000:8_010] += 2.0 * count
+    assert least_foreseen(fitted(off, position=pushed, resolution=count)).decades < CHANCE
+    off[0, 8_000:8_010] = 4.8  # two neighbours, and neither is where it is foreseen
+    assert least_foreseen(fitted(off, position=position, resolution=count)).decades < CHANCE
 
 
 def test_a_log_shorter_than_a_moment_has_its_chance_too():
