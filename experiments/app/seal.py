@@ -22,4 +22,4 @@ class Seal:
 
     def holds(self, seal: object, folder: Path, *texts: str) -> bool:
         """Whether a seal that was read from a file is theirs."""
-        return hmac.compare_digest(str(seal).encode(), self.of(folder, *texts).encode())
+        return hmac.compare_digest(str(seal).encode("utf-8", "replace"), self.of(folder, *texts).encode())

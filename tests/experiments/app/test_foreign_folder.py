@@ -119,6 +119,12 @@ def test_what_waited_begins_with_the_next_app_of_its_user_and_not_in_a_copy(work
     assert job.state == "done"
 
 
+@pytest.mark.parametrize("seal", [None, 7, "\udc80", ["a"]])
+def test_a_seal_that_is_none_holds_for_nothing(seal, tmp_path):
+    assert not OWN.holds(seal, tmp_path, "check")
+    assert OWN.holds(OWN.of(tmp_path, "check"), tmp_path, "check")
+
+
 def test_a_record_that_was_changed_since_does_not_begin_by_itself(workspace):
     jobs = app_of(workspace)
     jobs._launch = lambda job: None
