@@ -155,7 +155,9 @@ def _unlimited(axis: Axis) -> list[str]:
         "the amplifier's"
     )
     if hasattr(axis.controller, "force_limit"):
-        return [f"{said}, and an integral goes on there. Limit the command there, or give [controller] a force_limit."]
+        return [
+            f"{said}, and an integral goes on there. Limit the command before it, or give [controller] a force_limit."
+        ]
     return [f"{said}. Limit the command before it."]
 
 

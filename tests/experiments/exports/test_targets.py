@@ -265,7 +265,10 @@ def test_the_bench_of_a_component_tells_right_answers_from_others(answers, code,
     (tmp_path / "halrun").write_text(f"#!/bin/sh\ncp {tmp_path}/answers sample.txt\n")
     (tmp_path / "halrun").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    assert subprocess.run([sys.executable, str(tmp_path / "axis_x_hal_bench.py")]).returncode == code
+    bench = [sys.executable, str(tmp_path / "axis_x_hal_bench.py")]
+    assert subprocess.run(bench).returncode == code
+    (tmp_path / "halrun").write_text("#!/bin/sh\nexit 1\n")
+    assert subprocess.run(bench).returncode == 2
 
 
 def test_a_name_that_is_too_long_for_hal_is_refused_with_the_length_that_is_not():
