@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
+from jax.scipy.linalg import lu_factor, lu_solve
 from jaxtyping import Array, Complex, Float, PyTree
 
 from diffdrive.controllers import Controller, Encoders, Reference
@@ -279,8 +280,12 @@ def response(loop: OpenLoop, frequency: Float[Array, " f"] | Float[np.ndarray, "
     matrix = z[:, None, None] * np.eye(len(b)) - a
     count = len(frequency)
     _require_memory(len(b), count)
-    right = jnp.linalg.solve(matrix, jnp.broadcast_to(b + 0j, (count, len(b)))[..., None])[..., 0]
-    left = jnp.linalg.solve(jnp.swapaxes(matrix, 1, 2), jnp.broadcast_to(c + 0j, (count, len(c)))[..., None])[..., 0]
+    # one decomposition for both: of two side by side each waits, in jaxlib 0.10 on two cores, for the other's thread
+    factors = lu_factor(matrix)
+    right, left = (
+        lu_solve(factors, jnp.broadcast_to(vector + 0j, (count, len(b)))[..., None], trans=transposed)[..., 0]
+        for transposed, vector in enumerate((b, c))
+    )
     # d/dz (z I - A)^-1 = -(z I - A)^-2, and dz = j z d(angle)
     slope = jnp.sum(left * right, axis=1) * (1j * z * angle)
     value = right @ c
