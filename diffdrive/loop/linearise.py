@@ -280,7 +280,7 @@ def response(loop: OpenLoop, frequency: Float[Array, " f"] | Float[np.ndarray, "
     matrix = z[:, None, None] * np.eye(len(b)) - a
     count = len(frequency)
     _require_memory(len(b), count)
-    # one decomposition for both: of two side by side each waits, in jaxlib 0.10 on two cores, for the other's thread
+    # one decomposition serves both
     factors = lu_factor(matrix)
     right, left = (
         lu_solve(factors, jnp.broadcast_to(vector + 0j, (count, len(b)))[..., None], trans=transposed)[..., 0]
