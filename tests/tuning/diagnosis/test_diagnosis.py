@@ -264,7 +264,7 @@ def test_a_poor_log_gets_no_cause_but_the_motion_that_is_needed(name, position, 
     assert found.verdict.verdict == "unknown"
     assert needed in found.verdict.says
     assert found.verdict.beliefs == []
-    assert next_experiment(found, DRIVE).says.startswith("log ")
+    assert next_experiment(found, DRIVE).says.startswith("Log ")
 
 
 def test_a_log_that_cannot_tell_makes_every_cause_unsure():
