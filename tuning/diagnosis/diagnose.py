@@ -34,6 +34,7 @@ from tuning.diagnosis.gap.laps import Laps, laps
 from tuning.diagnosis.gap.splitting import Split
 from tuning.diagnosis.gap.where import Region, localise
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
+from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.candidates import candidates, given
 from tuning.diagnosis.hypotheses.excitation import excitation_deficits
 from tuning.diagnosis.hypotheses.model import Logged, Member, counted_in, thinned
@@ -201,8 +202,9 @@ def diagnose(
     progress("finding what these logs would show", 0, 1)
     searched = bool(most_effects) and not hopeless
     needed = _needed(fitter, found)
-    amounts = small_amounts(fitter, found.best, catalogue) if searched else []
-    limits = detection_limits(fitter, found.best, catalogue, amounts, needed) if searched else []
+    sought = _sought(catalogue, logged, verdict)
+    amounts = small_amounts(fitter, found.best, sought) if searched else []
+    limits = detection_limits(fitter, found.best, sought, amounts, needed) if searched else []
     alike = rivalries(fitter, found.best, amounts, limits)
     left = dependences(fitter, found.best, at) if searched and _is_lacking(fitter, found, verdict) else None
     progress("finding what these logs would show", 1, 1)
@@ -241,6 +243,12 @@ def _located(logged: Logged, missing: _MissingForce, lead: float | None, others:
 def _is_lacking(fitter: Fitter, found: Explanation, verdict: Verdict) -> bool:
     """Whether something is left, and nothing that was found is believed."""
     return verdict.verdict == "unknown" and not is_complete(fitter, found.best)
+
+
+def _sought(catalogue: Sequence[Candidate], logged: Logged, verdict: Verdict) -> Sequence[Candidate]:
+    """The effects that were looked for: beside a machine that lacks nothing, none that the law of a loop hides."""
+    hidden = verdict.verdict == "none" and float(logged.command_std) > 0.0
+    return [one for one in catalogue if not (hidden and one.follows_motion)]
 
 
 def _needed(fitter: Fitter, found: Explanation) -> float:

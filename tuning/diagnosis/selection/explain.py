@@ -135,20 +135,22 @@ class _Search:
     def looked(self, base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
         """One more effect looked for.
 
-        Of a command that had to be told from the noise of its loop, no force that passes for a moved number is looked
-        for where nothing is missing: within what is not known of the command, it is no effect's.
+        Where nothing is missing, only what hides is: an effect that is a force would be missed. Between snapshots it
+        would not: any sudden force is granted there, so all are looked for. But of a command that had to be told from
+        the noise of its loop, no force that follows the motion is: its law is known to so much only.
         """
-        done = self.done(base, before)
-        moved = not done or float(before.model.logged.command_std) == 0.0
+        done, logged = self.done(base, before), before.model.logged
+        granted, by_law = logged.loop_samples > 1, float(logged.command_std) > 0.0
 
-        def may_hide(one: Candidate) -> bool:
-            seen_beside = one.twists and self.fitter.twist is not None
-            return seen_beside or (one.unseen and (moved or not one.relieves))
+        def may_act(one: Candidate) -> bool:
+            if done and by_law and one.follows_motion:
+                return one.twists and self.fitter.twist is not None
+            return granted or one.unseen or (one.twists and self.fitter.twist is not None)
 
-        if rounds and done:
+        if rounds and done and not granted:
             catalogue = [one for one in catalogue if one.noisy]
         elif self.over(base, before):
-            catalogue = [one for one in catalogue if may_hide(one)]
+            catalogue = [one for one in catalogue if may_act(one)]
         known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
         found = select_next_effect(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
         self.tell(of_round(self.weighed(base, found)))
