@@ -246,9 +246,9 @@ def _is_lacking(fitter: Fitter, found: Explanation, verdict: Verdict) -> bool:
 
 
 def _sought(catalogue: Sequence[Candidate], logged: Logged, verdict: Verdict) -> Sequence[Candidate]:
-    """The effects that were looked for: beside a machine that lacks nothing, none that the law of a loop hides."""
+    """The effects that were looked for: beside a machine that lacks nothing, none that may be an error of a law."""
     hidden = verdict.verdict == "none" and float(logged.command_std) > 0.0
-    return [one for one in catalogue if not (hidden and one.follows_motion)]
+    return [one for one in catalogue if not (hidden and one.relieves)]
 
 
 def _needed(fitter: Fitter, found: Explanation) -> float:

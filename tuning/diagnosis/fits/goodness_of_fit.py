@@ -55,11 +55,23 @@ def missing_evidence(fitter: Fitter, fitted: Fitted) -> float:
         sudden = np.append(np.geomspace(fitter.least, MOST, UNTOLD), fitted.process_noise[1])
         any_sudden = np.stack([np.full(len(sudden), least[0]), sudden], axis=1)
         least = fitter.with_process(there, fitted.model, any_sudden).process_noise
-    none, some = (
+    return _evidence_against(fitter, fitted, least)
+
+
+def granted_evidence(fitter: Fitter, fitted: Fitted) -> float:
+    """By how much a fit is likelier for the sudden force that it is granted between snapshots; 0 where none is."""
+    if fitted.model.logged.loop_samples == 1:
+        return 0.0
+    return max(_evidence_against(fitter, fitted, np.array([fitted.process_noise[0], fitter.least])), 0.0)
+
+
+def _evidence_against(fitter: Fitter, fitted: Fitted, process_noise: Float[np.ndarray, " 2"]) -> float:
+    """By how much a fit is likelier with its own process forces (N) than with these."""
+    there, own = (
         fitter.at(fitted.model, fitted.theta, one, fitted.filtered.trajectory).cost
-        for one in (least, fitted.process_noise)
+        for one in (process_noise, fitted.process_noise)
     )
-    return none - some if np.isfinite(none) and np.isfinite(some) else np.inf
+    return there - own if np.isfinite(there) and np.isfinite(own) else np.inf
 
 
 def missing(fitter: Fitter, fitted: Fitted) -> float:

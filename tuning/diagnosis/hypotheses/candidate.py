@@ -83,11 +83,6 @@ class Candidate(NamedTuple):
         return issubclass(self.effect, ScaleEffect)
 
     @property
-    def follows_motion(self) -> bool:
-        """Whether it is a force as a loop makes: in proportion to position, acceleration or command, or constant."""
-        return self.relieves or self.effect is forces.PositionSpring
-
-    @property
     def relieves(self) -> bool:
         """Whether nominal parameters, moved far, could do the same."""
         alike = (MachineEffect, actuator.ForceGain, friction.AppliedLoad, forces.ConstantForce)

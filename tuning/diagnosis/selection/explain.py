@@ -17,6 +17,7 @@ from tuning.diagnosis.fits.goodness_of_fit import (
     WORTH,
     blind,
     comparable_parameters,
+    granted_evidence,
     is_complete,
     is_implausible,
     max_prior_deviation,
@@ -95,13 +96,19 @@ def _without(before: Fitted, best: Fitted) -> list[Vector]:
 
 
 def evidence_needed(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fits: Sequence[Fitted]) -> float:
-    """The evidence that one more effect must bring beside the `best`, which explains all where it is `ended`."""
+    """The evidence that one more effect must bring beside the `best`, which explains all where it is `ended`.
+
+    Less than a share of what was explained before may be a detail of that. Between snapshots a sudden force explains as
+    well as an effect.
+    """
     if fits and relieves(fits[0], best):
         return WORTH
+    explained = granted_evidence(fitter, best)
     if ended and not best.model.coarse:
-        return RELIEF
+        return max(RELIEF, SLIGHT * explained)
+    explained += base.evidence - best.evidence
     slight = SLIGHTER if best.model.coarse or blind(fitter, base) else SLIGHT
-    enough = max(RELIEF if ended else WORTH, slight * (base.evidence - best.evidence))
+    enough = max(RELIEF if ended else WORTH, slight * explained)
     if fits and not best.model.coarse and is_complete(fitter, fits[0]):
         return min(enough, RESOLVING)
     return enough
@@ -137,13 +144,13 @@ class _Search:
 
         Where nothing is missing, only what hides is: an effect that is a force would be missed. Between snapshots it
         would not: any sudden force is granted there, so all are looked for. But of a command that had to be told from
-        the noise of its loop, no force that follows the motion is: its law is known to so much only.
+        the noise of its loop, no force that passes for a moved number is: an error of its law does as much.
         """
         done, logged = self.done(base, before), before.model.logged
         granted, by_law = logged.loop_samples > 1, float(logged.command_std) > 0.0
 
         def may_act(one: Candidate) -> bool:
-            if done and by_law and one.follows_motion:
+            if done and by_law and one.relieves:
                 return one.twists and self.fitter.twist is not None
             return granted or one.unseen or (one.twists and self.fitter.twist is not None)
 
