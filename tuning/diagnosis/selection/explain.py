@@ -216,7 +216,7 @@ class _Search:
         that sets the fit before it going is found last, and seems to bring more than all that was found before.
         """
         count = found.best.model.added
-        several = range(count if _outdone(found) else count - 1) if count > 1 else ()
+        several = range(count if is_outdone(found) else count - 1) if count > 1 else ()
         for index in several:
             fewer = drop_effect(self.fitter, found.best, index)
             if fewer is None:
@@ -304,7 +304,7 @@ def explain(
     """
     search = _Search(fitter, progress, most, tell)
     found = search.to_its_best(search.forward_selection(base, [], base, catalogue), catalogue)
-    first = _other_first(found)
+    first = other_first(found)
     if first is None or search.over(found.base, found.best):
         return found
     first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]])
@@ -313,13 +313,13 @@ def explain(
         return search.to_its_best(search.forward_selection(found.base, [first], first.fits[0], catalogue), catalogue)
 
     other = beside([one for one in catalogue if one.name in found.named])
-    if not _better(found.base, other.best, found.best):
+    if not is_better(found.base, other.best, found.best):
         return found._replace(other=other)
     widely = beside(catalogue)
-    return (other if _better(found.base, other.best, widely.best) else widely)._replace(other=found)
+    return (other if is_better(found.base, other.best, widely.best) else widely)._replace(other=found)
 
 
-def _outdone(found: Explanation) -> bool:
+def is_outdone(found: Explanation) -> bool:
     """Whether the last effect brought more than all before it together."""
     last = found.rounds[found.best.model.added - 1]
     return last.before.evidence - last.fits[0].evidence > found.base.evidence - last.before.evidence
@@ -368,7 +368,7 @@ def _credibly(fitter: Fitter, found: Explanation) -> Explanation:
     return found._replace(rounds=rounds, best=credible[0])
 
 
-def _better(base: Fitted, one: Fitted, other: Fitted) -> bool:
+def is_better(base: Fitted, one: Fitted, other: Fitted) -> bool:
     """Whether one end is likelier than another. Never by numbers that cannot be where the other's can, and where only
     its own can, it may lack a little.
     """
@@ -378,7 +378,7 @@ def _better(base: Fitted, one: Fitted, other: Fitted) -> bool:
     return one.evidence < other.evidence + may_lack
 
 
-def _other_first(found: Explanation) -> Round | None:
+def other_first(found: Explanation) -> Round | None:
     """The first round with another effect in front; None where there is none that could be meant.
 
     Where what was found leaves a nominal parameter moved far, it is one that brings it back: until a tilt is known,

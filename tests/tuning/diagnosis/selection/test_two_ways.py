@@ -10,7 +10,7 @@ from tuning.diagnosis.fits.goodness_of_fit import IMPOSSIBLE, SLIGHT, WORTH
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.judgement import verdict
 from tuning.diagnosis.selection import explain, refit
-from tuning.diagnosis.selection.explain import Explanation, _better, _credibly, _other_first, _searched_beside
+from tuning.diagnosis.selection.explain import Explanation, _credibly, _searched_beside, is_better, other_first
 from tuning.diagnosis.selection.search import Round
 
 pytestmark = pytest.mark.usefixtures("no_filter_lost")
@@ -22,27 +22,27 @@ def test_what_brings_the_parameters_back_is_tried_first_where_the_best_does_not(
     tilt = fake_fit("constant_force", evidence=-100.0, max_prior_deviation=1.0)
     cogging = fake_fit("cogging", evidence=-300.0, max_prior_deviation=5.0)
     looked = Round(base, [], [backlash, cogging, tilt], 3, 0.0)
-    first = _other_first(Explanation(base, [looked], backlash))
+    first = other_first(Explanation(base, [looked], backlash))
     assert names(first) == ["constant_force", "backlash", "cogging"]
     assert first.rivals == 1  # it is tried, not preferred: the others are no rivals of it
     calm = fake_fit("backlash", evidence=-900.0, max_prior_deviation=3.0)
-    assert _other_first(Explanation(base, [looked], calm)) is None
+    assert other_first(Explanation(base, [looked], calm)) is None
     weak = looked._replace(fits=[backlash, fake_fit("constant_force", evidence=-WORTH, max_prior_deviation=1.0)])
-    assert _other_first(Explanation(base, [weak], backlash)) is None
-    assert _other_first(Explanation(base, [looked], base)) is None
+    assert other_first(Explanation(base, [weak], backlash)) is None
+    assert other_first(Explanation(base, [looked], base)) is None
 
 
 def test_what_explains_nearly_as_much_is_tried_first_as_well():
     base = fake_fit(evidence=0.0)
     backlash, spring = (fake_fit(one, evidence=by) for one, by in (("backlash", -900.0), ("position_spring", -800.0)))
     looked = Round(base, [], [backlash, spring], 2, 0.0)
-    first = _other_first(Explanation(base, [looked], backlash))
+    first = other_first(Explanation(base, [looked], backlash))
     assert names(first) == ["position_spring", "backlash"]
     strained = looked._replace(fits=[backlash, fake_fit("position_spring", evidence=-1200.0, max_prior_deviation=9.0)])
-    assert _other_first(Explanation(base, [strained], backlash)) is None  # it stands behind since it cannot be
+    assert other_first(Explanation(base, [strained], backlash)) is None  # it stands behind since it cannot be
     far = looked._replace(fits=[backlash, fake_fit("position_spring", evidence=-700.0)])
-    assert _other_first(Explanation(base, [far], backlash)) is None
-    assert _other_first(Explanation(base, [looked._replace(fits=[backlash])], backlash)) is None
+    assert other_first(Explanation(base, [far], backlash)) is None
+    assert other_first(Explanation(base, [looked._replace(fits=[backlash])], backlash)) is None
 
 
 def test_no_end_with_numbers_that_cannot_be_is_better_than_one_that_can():
@@ -51,19 +51,19 @@ def test_no_end_with_numbers_that_cannot_be_is_better_than_one_that_can():
         fake_fit(evidence=-900.0, max_prior_deviation=9.0),
         fake_fit(evidence=-100.0, max_prior_deviation=5.0),
     )
-    assert not _better(base, impossible, possible)
-    assert _better(base, possible, fake_fit(evidence=-50.0, max_prior_deviation=9.0))
-    assert _better(base, impossible, fake_fit(evidence=-100.0, max_prior_deviation=8.0))
+    assert not is_better(base, impossible, possible)
+    assert is_better(base, possible, fake_fit(evidence=-50.0, max_prior_deviation=9.0))
+    assert is_better(base, impossible, fake_fit(evidence=-100.0, max_prior_deviation=8.0))
     for lacks, better in ((0.9, True), (1.1, False)):
         far = fake_fit(evidence=-1000.0, max_prior_deviation=9.0)
         near = fake_fit(evidence=-1000.0 + lacks * SLIGHT * 6000.0, max_prior_deviation=5.0)
-        assert _better(base, near, far) == better
-    assert not _better(base, fake_fit(evidence=-999.0), fake_fit(evidence=-1000.0))
+        assert is_better(base, near, far) == better
+    assert not is_better(base, fake_fit(evidence=-999.0), fake_fit(evidence=-1000.0))
     soft = fake_fit(
         evidence=-100.0, max_prior_deviation=5.0
     )  # what a table that slides tells counts before how the bristle bends
     soft.theta[NAMES.index("bristle_stiffness")] = 9.0
-    assert not _better(base, impossible, soft)
+    assert not is_better(base, impossible, soft)
 
 
 def test_a_second_effect_has_no_credit_for_what_searching_again_gave_the_first(monkeypatch):
