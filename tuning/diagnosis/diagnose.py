@@ -55,7 +55,8 @@ from tuning.diagnosis.judgement.rest import Rest
 from tuning.diagnosis.judgement.verdict import Verdict, judge
 from tuning.diagnosis.limits.detection import DetectionLimit, detection_limits, small_amounts
 from tuning.diagnosis.limits.isolability import Rivalry, rivalries
-from tuning.diagnosis.selection.explain import MOST_EFFECTS, Explanation, evidence_needed, explain
+from tuning.diagnosis.selection.explain import MOST_EFFECTS, evidence_needed, explain
+from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Progress, Round, recalibrated
 from tuning.diagnosis.selection.snapshots import read_snapshots
 from tuning.diagnosis.selection.stages import Tell, of_gap, unheard

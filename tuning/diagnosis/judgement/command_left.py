@@ -23,7 +23,7 @@ from tuning.diagnosis.fits.fitted import Fitted, innovation_jvp
 from tuning.diagnosis.gap.gap import sliding
 from tuning.diagnosis.hypotheses.model import delay_of
 from tuning.diagnosis.judgement.verdict import Verdict
-from tuning.diagnosis.selection.explain import Explanation
+from tuning.diagnosis.selection.explanation import Explanation
 from tuning.identification.controller.signals import LOW_PASS
 
 TAPS = 5  # samples, the first of them one sooner than the delay that was found, if that is one or more

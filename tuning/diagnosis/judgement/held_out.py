@@ -8,7 +8,7 @@ import numpy as np
 from tuning.diagnosis.fits.goodness_of_fit import IMPOSSIBLE, WORTH, is_plausible, relieves
 from tuning.diagnosis.judgement.ladder import ModelComparison, known_floor
 from tuning.diagnosis.judgement.verdict import Verdict
-from tuning.diagnosis.selection.explain import Explanation
+from tuning.diagnosis.selection.explanation import Explanation
 
 DENIED = 0.05  # of the evidence gained, that the held-out logs may lose
 SURELY = 2.0  # standard deviations of what the held-out logs lose, by which it must stand out

@@ -20,7 +20,7 @@ from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.gap.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap, uncoupled
 from tuning.diagnosis.gap.splitting import Split, determined, of_session, split
 from tuning.diagnosis.hypotheses.calibration import NAMES
-from tuning.diagnosis.selection.explain import Explanation
+from tuning.diagnosis.selection.explanation import Explanation
 
 PIECE = 0.25  # s, over which two models are compared on what is held out
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration

@@ -16,7 +16,7 @@ from tuning.diagnosis.fits.fitting import SETTLING, Fitter
 from tuning.diagnosis.fits.reference_noise import Forces
 from tuning.diagnosis.gap.gap import ForceGap, force_gap
 from tuning.diagnosis.hypotheses.model import Logged
-from tuning.diagnosis.selection.explain import Explanation
+from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import initial_trajectory
 from tuning.identification.informative import STRETCH, cut
 from tuning.identification.problem import long_pieces

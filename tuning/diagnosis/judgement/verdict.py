@@ -26,7 +26,7 @@ from tuning.diagnosis.fits.goodness_of_fit import (
     relieves,
     unexplained,
 )
-from tuning.diagnosis.selection.explain import Explanation
+from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Round
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained

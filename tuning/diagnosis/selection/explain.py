@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Optional
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from tuning.diagnosis.fits.goodness_of_fit import (
     STRAINED,
     WORTH,
     blind,
-    comparable_parameters,
     granted_evidence,
     is_complete,
     is_implausible,
@@ -27,6 +25,7 @@ from tuning.diagnosis.fits.goodness_of_fit import (
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.model import Vector
+from tuning.diagnosis.selection.explanation import Explanation, is_better, is_outdone, other_first
 from tuning.diagnosis.selection.refit import drop_effect, refit_from_nominal, searched_again, to_its_end
 from tuning.diagnosis.selection.search import (
     Progress,
@@ -39,26 +38,10 @@ from tuning.diagnosis.selection.search import (
 from tuning.diagnosis.selection.stages import Tell, of_round, unheard
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
-NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
 SLIGHTER = 0.2  # in place of SLIGHT beside an effect whose details differ, or where the filter was lost all along
 RELIEF = 20.0  # in evidence, that is enough where nothing is missing, but nominal parameters moved together for that
 RESOLVING = 50.0  # in evidence, that is enough where nothing is left then: a small effect beside a large one
 MOST_EFFECTS = 2
-
-
-class Explanation(NamedTuple):
-    """The recalibrated drive and the effects found, one round for each."""
-
-    base: Fitted
-    rounds: list[Round]
-    best: Fitted
-    other: Optional["Explanation"] = None  # the way that was searched too and ended no better
-
-    @property
-    def named(self) -> set[str]:
-        """The effects that were added."""
-        members = self.best.model.members
-        return {member.candidate.name for member in members[len(members) - self.best.model.added :]}
 
 
 def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted | None:
@@ -319,12 +302,6 @@ def explain(
     return (other if is_better(found.base, other.best, widely.best) else widely)._replace(other=found)
 
 
-def is_outdone(found: Explanation) -> bool:
-    """Whether the last effect brought more than all before it together."""
-    last = found.rounds[found.best.model.added - 1]
-    return last.before.evidence - last.fits[0].evidence > found.base.evidence - last.before.evidence
-
-
 def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
     """With what was searched for before another effect was known searched for again beside it, and what there was
     before that other one fitted from there: else that would have the credit. The same object where that leads nowhere.
@@ -366,40 +343,3 @@ def _credibly(fitter: Fitter, found: Explanation) -> Explanation:
         allowance=looked.allowance + lost,
     )
     return found._replace(rounds=rounds, best=credible[0])
-
-
-def is_better(base: Fitted, one: Fitted, other: Fitted) -> bool:
-    """Whether one end is likelier than another. Never by numbers that cannot be where the other's can, and where only
-    its own can, it may lack a little.
-    """
-    if is_implausible(one, other):
-        return False
-    may_lack = SLIGHT * max(base.evidence - other.evidence, 0.0) if is_implausible(other, one) else 0.0
-    return one.evidence < other.evidence + may_lack
-
-
-def other_first(found: Explanation) -> Round | None:
-    """The first round with another effect in front; None where there is none that could be meant.
-
-    Where what was found leaves a nominal parameter moved far, it is one that brings it back: until a tilt is known,
-    say, nothing fits a loose screw that it holds to one side. Elsewhere it is one that explains nearly as much: of two
-    effects, the second is found more easily beside one of them than beside the other.
-    """
-    if not found.best.model.added:
-        return None
-    first = found.rounds[0]
-    best, *others = first.fits
-
-    def gain(one: Fitted) -> float:
-        return first.before.evidence - one.evidence
-
-    def no_further(one: Fitted) -> bool:
-        among = comparable_parameters(one, best)
-        return max_prior_deviation(one, among) < max(STRAINED, max_prior_deviation(best, among))
-
-    bringing_back = [one for one in others if relieves(one, found.best)]
-    near = [one for one in others if gain(one) > NEARLY * gain(best) and no_further(one)]
-    for one in [*bringing_back, *near]:
-        if gain(one) > WORTH:
-            return first._replace(fits=[one, *apart_from(first.fits, [one])], rivals=1, allowance=0.0, enough=WORTH)
-    return None

@@ -26,7 +26,8 @@ from tuning.diagnosis.judgement.command_left import (
     follows_command,
 )
 from tuning.diagnosis.judgement.verdict import Belief, Verdict
-from tuning.diagnosis.selection.explain import Explanation, explain
+from tuning.diagnosis.selection.explain import explain
+from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Round, recalibrated
 
 LATE = {"actuator_lag": ActuatorLag(6e-4), "loop_delay": LoopDelay(1.2)}

@@ -25,7 +25,7 @@ from tuning.diagnosis.judgement.held_out import (
     prune_on_validation,
 )
 from tuning.diagnosis.judgement.verdict import Belief, Verdict
-from tuning.diagnosis.selection.explain import Explanation
+from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Round
 
 RATE = 1000.0

@@ -11,7 +11,7 @@ from tests.support.sound_log import DRIVE, RATE
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.gap.gap import ForceGap
 from tuning.diagnosis.judgement.rest import _by_stretch, _rms, held_against
-from tuning.diagnosis.selection.explain import Explanation
+from tuning.diagnosis.selection.explanation import Explanation
 from tuning.identification.informative import cut
 
 FORCE = 3.0  # N

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.fake_fits import fake_fit
 from tuning.diagnosis.judgement import verdict
-from tuning.diagnosis.selection.explain import Explanation
+from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Round
 
 

@@ -5,7 +5,8 @@ import pytest
 from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F401
 from tuning.diagnosis.fits.goodness_of_fit import SLIGHT, WORTH
 from tuning.diagnosis.selection import explain
-from tuning.diagnosis.selection.explain import Explanation, _Search
+from tuning.diagnosis.selection.explain import _Search
+from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Round
 
 pytestmark = pytest.mark.usefixtures("no_filter_lost")

@@ -10,7 +10,8 @@ from tuning.diagnosis.fits.goodness_of_fit import IMPOSSIBLE, SLIGHT, WORTH
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.judgement import verdict
 from tuning.diagnosis.selection import explain, refit
-from tuning.diagnosis.selection.explain import Explanation, _credibly, _searched_beside, is_better, other_first
+from tuning.diagnosis.selection.explain import _credibly, _searched_beside
+from tuning.diagnosis.selection.explanation import Explanation, is_better, other_first
 from tuning.diagnosis.selection.search import Round
 
 pytestmark = pytest.mark.usefixtures("no_filter_lost")

@@ -1,0 +1,75 @@
+"""What a search ended with, and how two ways of it compare."""
+
+from typing import NamedTuple, Optional
+
+from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.goodness_of_fit import (
+    SLIGHT,
+    STRAINED,
+    WORTH,
+    comparable_parameters,
+    is_implausible,
+    max_prior_deviation,
+    relieves,
+)
+from tuning.diagnosis.selection.search import Round, apart_from
+
+NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
+
+
+class Explanation(NamedTuple):
+    """The recalibrated drive and the effects found, one round for each."""
+
+    base: Fitted
+    rounds: list[Round]
+    best: Fitted
+    other: Optional["Explanation"] = None  # the way that was searched too and ended no better
+
+    @property
+    def named(self) -> set[str]:
+        """The effects that were added."""
+        members = self.best.model.members
+        return {member.candidate.name for member in members[len(members) - self.best.model.added :]}
+
+
+def is_outdone(found: Explanation) -> bool:
+    """Whether the last effect brought more than all before it together."""
+    last = found.rounds[found.best.model.added - 1]
+    return last.before.evidence - last.fits[0].evidence > found.base.evidence - last.before.evidence
+
+
+def is_better(base: Fitted, one: Fitted, other: Fitted) -> bool:
+    """Whether one end is likelier than another. Never by numbers that cannot be where the other's can, and where only
+    its own can, it may lack a little.
+    """
+    if is_implausible(one, other):
+        return False
+    may_lack = SLIGHT * max(base.evidence - other.evidence, 0.0) if is_implausible(other, one) else 0.0
+    return one.evidence < other.evidence + may_lack
+
+
+def other_first(found: Explanation) -> Round | None:
+    """The first round with another effect in front; None where there is none that could be meant.
+
+    Where what was found leaves a nominal parameter moved far, it is one that brings it back: until a tilt is known,
+    say, nothing fits a loose screw that it holds to one side. Elsewhere it is one that explains nearly as much: of two
+    effects, the second is found more easily beside one of them than beside the other.
+    """
+    if not found.best.model.added:
+        return None
+    first = found.rounds[0]
+    best, *others = first.fits
+
+    def gain(one: Fitted) -> float:
+        return first.before.evidence - one.evidence
+
+    def no_further(one: Fitted) -> bool:
+        among = comparable_parameters(one, best)
+        return max_prior_deviation(one, among) < max(STRAINED, max_prior_deviation(best, among))
+
+    bringing_back = [one for one in others if relieves(one, found.best)]
+    near = [one for one in others if gain(one) > NEARLY * gain(best) and no_further(one)]
+    for one in [*bringing_back, *near]:
+        if gain(one) > WORTH:
+            return first._replace(fits=[one, *apart_from(first.fits, [one])], rivals=1, allowance=0.0, enough=WORTH)
+    return None
