@@ -126,8 +126,9 @@ class _Search:
         """One more effect looked for.
 
         Where nothing is missing, only what hides is: an effect that is a force would be missed. Between snapshots it
-        would not: any sudden force is granted there, so all are looked for. But of a command that had to be told from
-        the noise of its loop, no force that passes for a moved number is: an error of its law does as much.
+        would not: any sudden force is granted there, so all are looked for that need not be searched for. But of a
+        command that had to be told from the noise of its loop, no force that passes for a moved number is: an error of
+        its law does as much.
         """
         done, logged = self.done(base, before), before.model.logged
         granted, by_law = logged.loop_samples > 1, float(logged.command_std) > 0.0
@@ -135,7 +136,8 @@ class _Search:
         def may_act(one: Candidate) -> bool:
             if done and by_law and one.relieves:
                 return one.twists and self.fitter.twist is not None
-            return granted or one.unseen or (one.twists and self.fitter.twist is not None)
+            hides = one.unseen or (granted and not one.searched)
+            return hides or (one.twists and self.fitter.twist is not None)
 
         if rounds and done and not granted:
             catalogue = [one for one in catalogue if one.noisy]
