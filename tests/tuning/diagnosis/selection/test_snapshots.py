@@ -88,7 +88,8 @@ def test_what_the_grant_of_a_sudden_force_hides_is_found_all_the_same():
     swinging = dataclasses.replace(believed.drive, effects=(FrameVibration(ratio=0.02, frequency=37.0, damping=0.06),))
     log = simulate_log(dataclasses.replace(believed, drive=swinging), two_sines(rate=rate))
     rows = every(log, samples)
-    assert is_complete(fitter := Fitter(logged_of(believed.drive, [rows], samples)), recalibrated(fitter, TOLERANCE))
+    fitter = Fitter(logged_of(believed.drive, [rows], samples))
+    assert is_complete(fitter, recalibrated(fitter, TOLERANCE))
     told = diagnose(believed.drive, UnknownController(), [rows], loop_samples=samples).verdict
     assert told.verdict == "effect"
     assert [one.effect for one in told.beliefs if one.found] == ["frame_vibration"]
