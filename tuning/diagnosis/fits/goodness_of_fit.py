@@ -58,7 +58,7 @@ def missing_evidence(fitter: Fitter, fitted: Fitted) -> float:
     return _evidence_against(fitter, fitted, least)
 
 
-def granted_evidence(fitter: Fitter, fitted: Fitted) -> float:
+def sudden_force_evidence(fitter: Fitter, fitted: Fitted) -> float:
     """By how much a fit is likelier for the sudden force that it is granted between snapshots; 0 where none is."""
     if fitted.model.logged.loop_samples == 1:
         return 0.0

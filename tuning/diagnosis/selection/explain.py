@@ -15,17 +15,17 @@ from tuning.diagnosis.fits.goodness_of_fit import (
     STRAINED,
     WORTH,
     blind,
-    granted_evidence,
     is_complete,
     is_implausible,
     max_prior_deviation,
     relieves,
+    sudden_force_evidence,
     unexplained,
 )
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.model import Vector
-from tuning.diagnosis.selection.explanation import Explanation, is_better, is_outdone, other_first
+from tuning.diagnosis.selection.explanation import Explanation, is_better, last_outweighs_the_rest, other_first
 from tuning.diagnosis.selection.refit import drop_effect, refit_from_nominal, searched_again, to_its_end
 from tuning.diagnosis.selection.search import (
     Progress,
@@ -86,7 +86,7 @@ def evidence_needed(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fit
     """
     if fits and relieves(fits[0], best):
         return WORTH
-    explained = granted_evidence(fitter, best)
+    explained = sudden_force_evidence(fitter, best)
     if ended and not best.model.coarse:
         return max(RELIEF, SLIGHT * explained)
     explained += base.evidence - best.evidence
@@ -201,7 +201,7 @@ class _Search:
         that sets the fit before it going is found last, and seems to bring more than all that was found before.
         """
         count = found.best.model.added
-        several = range(count if is_outdone(found) else count - 1) if count > 1 else ()
+        several = range(count if last_outweighs_the_rest(found) else count - 1) if count > 1 else ()
         for index in several:
             fewer = drop_effect(self.fitter, found.best, index)
             if fewer is None:

@@ -32,7 +32,7 @@ class Explanation(NamedTuple):
         return {member.candidate.name for member in members[len(members) - self.best.model.added :]}
 
 
-def is_outdone(found: Explanation) -> bool:
+def last_outweighs_the_rest(found: Explanation) -> bool:
     """Whether the last effect brought more than all before it together."""
     last = found.rounds[found.best.model.added - 1]
     return last.before.evidence - last.fits[0].evidence > found.base.evidence - last.before.evidence

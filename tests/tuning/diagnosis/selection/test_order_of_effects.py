@@ -62,7 +62,7 @@ def test_what_one_more_effect_must_bring(monkeypatch, before, strain_then, ended
 def test_a_detail_of_a_force_that_is_granted_is_no_effect(monkeypatch, ended):
     """Between snapshots a sudden force explains as an effect does, and is no more exact than one."""
     monkeypatch.setattr(explain, "is_complete", lambda *_: False)
-    monkeypatch.setattr(explain, "granted_evidence", lambda *_: 5e3)
+    monkeypatch.setattr(explain, "sudden_force_evidence", lambda *_: 5e3)
     best, cogging = fake_fit(evidence=-1e3), fake_fit("cogging", evidence=-1.1e3)
     explained = 5e3 if ended else 6e3
     assert evidence_needed(None, fake_fit(evidence=0.0), best, ended, [cogging]) == SLIGHT * explained
