@@ -20,7 +20,7 @@ def fake_fit(*effects, evidence, max_prior_deviation=0.0, coarse=False):
     )
     model = SimpleNamespace(
         members=members, added=len(effects), coarse=coarse, coupled=coarse, possible=lambda theta: True,
-        prior=tolerated(0.02), logged=SimpleNamespace(loop_samples=1, command_std=0.0),
+        prior=tolerated(0.02), logged=SimpleNamespace(of_snapshots=False, command_std=0.0),
     )  # fmt: skip
     return SimpleNamespace(
         model=model, evidence=evidence, cost=evidence, theta=np.r_[max_prior_deviation, np.zeros(len(NAMES) - 1)]

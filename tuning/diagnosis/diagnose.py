@@ -26,7 +26,15 @@ from tuning.diagnosis.filter.effect_signals import in_parts
 from tuning.diagnosis.filter.second_encoder import twist_of
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
-from tuning.diagnosis.fits.goodness_of_fit import LACKING, SLIDING, is_complete, is_plausible, largest_deviation_says
+from tuning.diagnosis.fits.goodness_of_fit import (
+    LACKING,
+    SLIDING,
+    STRAINED,
+    is_complete,
+    is_plausible,
+    largest_deviation_says,
+    max_prior_deviation,
+)
 from tuning.diagnosis.fits.reference_noise import reference_process_noise
 from tuning.diagnosis.gap.dependence import Dependence, dependences
 from tuning.diagnosis.gap.gap import ForceGap, floor_of, force_gap, force_noise, uncoupled
@@ -55,7 +63,7 @@ from tuning.diagnosis.judgement.rest import Rest
 from tuning.diagnosis.judgement.verdict import Verdict, judge
 from tuning.diagnosis.limits.detection import DetectionLimit, detection_limits, small_amounts
 from tuning.diagnosis.limits.isolability import Rivalry, rivalries
-from tuning.diagnosis.selection.explain import MOST_EFFECTS, evidence_needed, explain
+from tuning.diagnosis.selection.explain import MOST_EFFECTS, evidence_needed, explain, is_looked_for
 from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Progress, Round, recalibrated
 from tuning.diagnosis.selection.snapshots import read_snapshots
@@ -203,9 +211,9 @@ def diagnose(
     progress("finding what these logs would show", 0, 1)
     searched = bool(most_effects) and not hopeless
     needed = _needed(fitter, found)
-    sought = _sought(catalogue, logged, verdict)
-    amounts = small_amounts(fitter, found.best, sought) if searched else []
-    limits = detection_limits(fitter, found.best, sought, amounts, needed) if searched else []
+    amounts = small_amounts(fitter, found.best, catalogue) if searched else []
+    sought = _sought(fitter, found, catalogue) if searched else []
+    limits = detection_limits(fitter, found.best, sought, amounts, needed)
     alike = rivalries(fitter, found.best, amounts, limits)
     left = dependences(fitter, found.best, at) if searched and _is_lacking(fitter, found, verdict) else None
     progress("finding what these logs would show", 1, 1)
@@ -246,12 +254,13 @@ def _is_lacking(fitter: Fitter, found: Explanation, verdict: Verdict) -> bool:
     return verdict.verdict == "unknown" and not is_complete(fitter, found.best)
 
 
-def _sought(catalogue: Sequence[Candidate], logged: Logged, verdict: Verdict) -> Sequence[Candidate]:
-    """The effects that were looked for. Beside a machine that lacks nothing, not all are where rows are snapshots."""
-    if verdict.verdict != "none":
+def _sought(fitter: Fitter, found: Explanation, catalogue: Sequence[Candidate]) -> Sequence[Candidate]:
+    """The effects whose presence the logs would have shown; of snapshots that lack no force, those looked for alone."""
+    logged, base = fitter.logged, found.base
+    if not (logged.of_snapshots and is_complete(fitter, base)):
         return catalogue
-    granted, by_law = logged.loop_samples > 1, float(logged.command_std) > 0.0
-    return [one for one in catalogue if not (granted and one.searched) and not (by_law and one.relieves)]
+    seen, moved = fitter.twist is not None, max_prior_deviation(base) >= STRAINED
+    return [one for one in catalogue if is_looked_for(one, logged, seen, moved)]
 
 
 def _needed(fitter: Fitter, found: Explanation) -> float:

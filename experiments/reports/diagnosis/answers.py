@@ -28,8 +28,9 @@ CAUSES = ("effect", "round", "evidence", "confidence", "parameters with 95 % int
 NOMINAL = ("parameter", "unit", "drive file", "recalibrated", "low", "high", "with what was found", "low", "high")
 FOUND_FIRST = (
     "Causes: what was found, then what else was fitted, the surest first; the rest of the catalogue promised less when "
-    "screened. Round 1: alone, 2 and more: beside what was found before. Evidence: drop of -2 ln likelihood. Wave: "
-    "A cos(2 pi x / period - phase), x the table position (or time) from its zero"
+    "screened, or could not hide where nothing is missing. Round 1: alone, 2 and more: beside what was found before. "
+    "Evidence: drop of -2 ln likelihood. Wave: A cos(2 pi x / period - phase), x the table position (or time) from its "
+    "zero"
 )
 LIMITS = ("effect", "parameter", "size, SI", "unit", "these logs would show it")
 LIMIT = "Detection limits: an effect of this size brings the evidence that one more effect must bring"

@@ -36,9 +36,18 @@ def relevant_forces(fitter: Fitter, fitted: Fitted) -> Float[np.ndarray, " 2"]:
 
     To a lasting one comes what is not known of the command.
     """
-    friction = float(coulomb(fitted.recalibrated_drive.friction, 1.0, 0.0))
-    relevant = np.hypot(RELEVANT * friction, float(fitter.logged.command_std))
-    return relevant * np.array([1.0, np.sqrt(max(DISTURBANCE_TIME * fitter.logged.sampling.rate, 1.0))])
+    lasting = float(np.hypot(_relevant(fitted), float(fitter.logged.command_std)))
+    return np.array([lasting, _sudden(fitter, lasting)])
+
+
+def _relevant(fitted: Fitted) -> float:
+    """The lasting force (N) that no model is right to."""
+    return RELEVANT * float(coulomb(fitted.recalibrated_drive.friction, 1.0, 0.0))
+
+
+def _sudden(fitter: Fitter, lasting: float) -> float:
+    """The sudden force (N) of one value per sample that comes to as much as a lasting one over as long."""
+    return lasting * float(np.sqrt(max(DISTURBANCE_TIME * fitter.logged.sampling.rate, 1.0)))
 
 
 def missing_evidence(fitter: Fitter, fitted: Fitted) -> float:
@@ -50,7 +59,7 @@ def missing_evidence(fitter: Fitter, fitted: Fitted) -> float:
     still, that makes a difference of its own.
     """
     least = np.minimum(fitted.process_noise, relevant_forces(fitter, fitted))
-    if fitter.logged.loop_samples > 1:
+    if fitter.logged.of_snapshots:
         there = fitter.at(fitted.model, fitted.theta, fitted.process_noise, fitted.filtered.trajectory)
         sudden = np.append(np.geomspace(fitter.least, MOST, UNTOLD), fitted.process_noise[1])
         any_sudden = np.stack([np.full(len(sudden), least[0]), sudden], axis=1)
@@ -59,19 +68,24 @@ def missing_evidence(fitter: Fitter, fitted: Fitted) -> float:
 
 
 def sudden_force_evidence(fitter: Fitter, fitted: Fitted) -> float:
-    """By how much a fit is likelier for the sudden force that it is granted between snapshots; 0 where none is."""
-    if fitted.model.logged.loop_samples == 1:
+    """By how much a fit of snapshots is likelier for the sudden force between them; 0 of logs of every sample, and
+    where no filter follows without.
+    """
+    if not fitted.model.logged.of_snapshots:
         return 0.0
-    return max(_evidence_against(fitter, fitted, np.array([fitted.process_noise[0], fitter.least])), 0.0)
+    lasting, sudden = fitted.process_noise
+    without = np.array([lasting, min(sudden, _sudden(fitter, _relevant(fitted)))])
+    found = _evidence_against(fitter, fitted, without)
+    return max(found, 0.0) if np.isfinite(found) else 0.0
 
 
 def _evidence_against(fitter: Fitter, fitted: Fitted, process_noise: Float[np.ndarray, " 2"]) -> float:
     """By how much a fit is likelier with its own process forces (N) than with these."""
-    there, own = (
+    with_these, with_own = (
         fitter.at(fitted.model, fitted.theta, one, fitted.filtered.trajectory).cost
         for one in (process_noise, fitted.process_noise)
     )
-    return there - own if np.isfinite(there) and np.isfinite(own) else np.inf
+    return with_these - with_own if np.isfinite(with_these) and np.isfinite(with_own) else np.inf
 
 
 def missing(fitter: Fitter, fitted: Fitted) -> float:
@@ -91,7 +105,7 @@ def blind(fitter: Fitter, base: Fitted) -> bool:
 
 def power_left(base: Fitted, fitted: Fitted) -> float:
     """Share of the missing force's mean square that is left; between snapshots, of that which lasts."""
-    last = 1 if fitted.model.logged.loop_samples > 1 else 2
+    last = 1 if fitted.model.logged.of_snapshots else 2
     return float(np.sum(fitted.process_noise[:last] ** 2) / np.sum(base.process_noise[:last] ** 2))
 
 

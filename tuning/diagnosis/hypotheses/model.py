@@ -50,6 +50,11 @@ class Logged(NamedTuple):
         return Sampling(self.sampling.rate * self.thinning, -(-self.sampling.plant_steps // self.thinning))
 
     @property
+    def of_snapshots(self) -> bool:
+        """Whether each row is the first of several samples of its loop, and the commands of the others are unknown."""
+        return self.loop_samples > 1
+
+    @property
     def control_periods(self) -> int:
         """How many of the machine's control a sample lasts."""
         return self.thinning * self.loop_samples

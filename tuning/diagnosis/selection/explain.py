@@ -24,7 +24,7 @@ from tuning.diagnosis.fits.goodness_of_fit import (
 )
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
-from tuning.diagnosis.hypotheses.model import Vector
+from tuning.diagnosis.hypotheses.model import Logged, Vector
 from tuning.diagnosis.selection.explanation import Explanation, is_better, last_outweighs_the_rest, other_first
 from tuning.diagnosis.selection.refit import drop_effect, refit_from_nominal, searched_again, to_its_end
 from tuning.diagnosis.selection.search import (
@@ -39,7 +39,7 @@ from tuning.diagnosis.selection.stages import Tell, of_round, unheard
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
 SLIGHTER = 0.2  # in place of SLIGHT beside an effect whose details differ, or where the filter was lost all along
-RELIEF = 20.0  # in evidence, that is enough where nothing is missing, but nominal parameters moved together for that
+RELIEF = 20.0  # in evidence, that is enough where nothing is missing
 RESOLVING = 50.0  # in evidence, that is enough where nothing is left then: a small effect beside a large one
 MOST_EFFECTS = 2
 
@@ -53,10 +53,8 @@ def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted |
         return None
     best = fits[0]
     processes = np.vstack([best.process_noise * NEAR, before.process_noise * NEAR])
-    ends = [
-        before.theta,
-        *_without(before, best),
-    ]  # the first for the filter's process force alone, which may be another
+    # the first for the filter's process force alone, which may be another
+    ends = [before.theta, *_without(before, best)]
     begun = [fitter.at(before.model, theta, best.process_noise, best.filtered.trajectory) for theta in ends]
     there = min((fitter.with_process(one, before.model, processes) for one in begun), key=lambda one: one.cost)
     if before.cost - there.cost < WORTH:
@@ -81,20 +79,36 @@ def _without(before: Fitted, best: Fitted) -> list[Vector]:
 def evidence_needed(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fits: Sequence[Fitted]) -> float:
     """The evidence that one more effect must bring beside the `best`, which explains all where it is `ended`.
 
-    Less than a share of what was explained before may be a detail of that. Between snapshots a sudden force explains as
-    well as an effect.
+    Less than a share of what was explained before may be a detail of that: of what effects explain and, of snapshots,
+    of what the sudden force between them does.
     """
     if fits and relieves(fits[0], best):
         return WORTH
-    explained = sudden_force_evidence(fitter, best)
-    if ended and not best.model.coarse:
-        return max(RELIEF, SLIGHT * explained)
-    explained += base.evidence - best.evidence
-    slight = SLIGHTER if best.model.coarse or blind(fitter, base) else SLIGHT
-    enough = max(RELIEF if ended else WORTH, slight * explained)
-    if fits and not best.model.coarse and is_complete(fitter, fits[0]):
-        return min(enough, RESOLVING)
-    return enough
+    model, gained = best.model, base.evidence - best.evidence
+    sudden = SLIGHT * sudden_force_evidence(fitter, best)
+    if ended and not model.coarse:
+        # of logs of every sample only an error of the scale is looked for then: no detail of a force
+        return max(RELIEF, sudden, min(SLIGHT * gained, RESOLVING) if model.logged.of_snapshots else 0.0)
+    slight = SLIGHTER if model.coarse or blind(fitter, base) else SLIGHT
+    enough = max(RELIEF if ended else WORTH, slight * gained)
+    if fits and not model.coarse and is_complete(fitter, fits[0]):
+        enough = min(enough, RESOLVING)
+    return max(enough, sudden)
+
+
+def is_looked_for(one: Candidate, logged: Logged, by_second_encoder: bool, moved: bool) -> bool:
+    """Whether an effect is looked for where no force is missing; `moved` is whether a number was moved far.
+
+    Of logs of every sample only what hides then: any other would show as a missing force. Between snapshots it would
+    not, since any sudden force is allowed there: all are looked for but those that have to be searched for, which cost
+    minutes. Of snapshots whose command is told by the law of its loop, nothing is looked for that does what a moved
+    number does, before one is moved: an error of that law does as much, and lasts all along the log.
+    """
+    if one.twists and by_second_encoder:
+        return True
+    if one.relieves and not moved and float(logged.command_std) > 0.0:
+        return False
+    return one.unseen or (logged.of_snapshots and not one.searched)
 
 
 @dataclass(frozen=True)
@@ -123,26 +137,13 @@ class _Search:
         return self.over(base, one), max_prior_deviation(one) >= STRAINED, max_prior_deviation(one) > IMPOSSIBLE
 
     def looked(self, base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
-        """One more effect looked for.
-
-        Where nothing is missing, only what hides is: an effect that is a force would be missed. Between snapshots it
-        would not: any sudden force is granted there, so all are looked for that need not be searched for. But of a
-        command that had to be told from the noise of its loop, no force that passes for a moved number is: an error of
-        its law does as much.
-        """
+        """One more effect looked for; where nothing is missing any more, not all are (`is_looked_for`)."""
         done, logged = self.done(base, before), before.model.logged
-        granted, by_law = logged.loop_samples > 1, float(logged.command_std) > 0.0
-
-        def may_act(one: Candidate) -> bool:
-            if done and by_law and one.relieves:
-                return one.twists and self.fitter.twist is not None
-            hides = one.unseen or (granted and not one.searched)
-            return hides or (one.twists and self.fitter.twist is not None)
-
-        if rounds and done and not granted:
+        if rounds and done and not logged.of_snapshots:
             catalogue = [one for one in catalogue if one.noisy]
         elif self.over(base, before):
-            catalogue = [one for one in catalogue if may_act(one)]
+            seen = self.fitter.twist is not None
+            catalogue = [one for one in catalogue if is_looked_for(one, logged, seen, not done)]
         known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
         found = select_next_effect(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
         self.tell(of_round(self.weighed(base, found)))
@@ -257,7 +258,8 @@ class _Search:
         if relieves(best, fewer) or is_implausible(fewer, best):
             return WORTH
         enough = max(WORTH, SLIGHT * (base.evidence - fewer.evidence))
-        return min(enough, RESOLVING) if is_complete(self.fitter, best) else enough
+        enough = min(enough, RESOLVING) if is_complete(self.fitter, best) else enough
+        return max(enough, SLIGHT * sudden_force_evidence(self.fitter, fewer))
 
     def beside_the_last(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
         """What was searched for before the last effect was known searched for again beside it; without that one, and
@@ -283,16 +285,18 @@ def explain(
     """Effects one after the other, as long as another is worth it, up to `most`; each search is told.
 
     Where nothing is missing any more, an effect can only say why a nominal parameter was moved so far, what a second
-    encoder saw, or what passes for noise of the scale. What is found is led to its best. Where something is missing
-    then, the search goes a second way, a rival of the first effect in front, beside which only what was found is looked
-    for. Where that ends better, everything is; the other end is kept as a rival.
+    encoder saw, what passes for noise of the scale or, of snapshots, for the sudden force between them. What is found
+    is led to its best. Where something is missing then, the search goes a second way, a rival of the first effect in
+    front, beside which only what was found is looked for. Where that ends better, everything is; the other end is kept
+    as a rival.
     """
     search = _Search(fitter, progress, most, tell)
     found = search.to_its_best(search.forward_selection(base, [], base, catalogue), catalogue)
     first = other_first(found)
     if first is None or search.over(found.base, found.best):
         return found
-    first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]])
+    enough = max(first.enough, SLIGHT * sudden_force_evidence(fitter, first.before))
+    first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]], enough=enough)
 
     def beside(catalogue: Sequence[Candidate]) -> Explanation:
         return search.to_its_best(search.forward_selection(found.base, [first], first.fits[0], catalogue), catalogue)

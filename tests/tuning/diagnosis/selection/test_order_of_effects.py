@@ -58,14 +58,27 @@ def test_what_one_more_effect_must_bring(monkeypatch, before, strain_then, ended
     )
 
 
-@pytest.mark.parametrize("ended", [False, True])
-def test_a_detail_of_a_force_that_is_granted_is_no_effect(monkeypatch, ended):
-    """Between snapshots a sudden force explains as an effect does, and is no more exact than one."""
-    monkeypatch.setattr(explain, "is_complete", lambda *_: False)
-    monkeypatch.setattr(explain, "sudden_force_evidence", lambda *_: 5e3)
-    best, cogging = fake_fit(evidence=-1e3), fake_fit("cogging", evidence=-1.1e3)
-    explained = 5e3 if ended else 6e3
-    assert evidence_needed(None, fake_fit(evidence=0.0), best, ended, [cogging]) == SLIGHT * explained
+@pytest.mark.parametrize(
+    ("sudden", "gained", "ended", "whole", "coarse", "enough"),
+    [
+        (5e3, 0.0, False, False, False, SLIGHT * 5e3),
+        (5e3, 0.0, False, True, False, SLIGHT * 5e3),  # which explains it all
+        (5e3, 0.0, True, True, False, SLIGHT * 5e3),
+        (300.0, 1e5, True, True, False, RESOLVING),  # a detail of what was found, though nothing is missing
+        (300.0, 500.0, True, True, False, RELIEF),
+        (5e3, 600.0, False, False, True, SLIGHT * 5e3),  # and beside a coarse effect no more than that
+        (5e3, 2e3, False, False, True, SLIGHTER * 2e3),
+    ],
+)
+def test_a_detail_of_the_sudden_force_between_snapshots_is_no_effect(
+    monkeypatch, sudden, gained, ended, whole, coarse, enough
+):
+    """That force explains as an effect does, and is no more exact than one."""
+    monkeypatch.setattr(explain, "is_complete", lambda *_: whole)
+    monkeypatch.setattr(explain, "sudden_force_evidence", lambda *_: sudden)
+    best, cogging = fake_fit(evidence=-gained, coarse=coarse), fake_fit("cogging", evidence=-2e5)
+    best.model.logged.of_snapshots = True
+    assert evidence_needed(None, fake_fit(evidence=0.0), best, ended, [cogging]) == enough
 
 
 def test_impossible_parameters_are_explained_by_what_brings_them_back():
@@ -182,7 +195,7 @@ def test_what_a_fit_lacks_does_not_depend_on_where_its_effects_were_stepped():
         cost=3.0,
         filtered=SimpleNamespace(trajectory=5.0),
     )
-    logged = SimpleNamespace(sampling=Sampling(1e3, 10), loop_samples=1, command_std=0.0)
+    logged = SimpleNamespace(sampling=Sampling(1e3, 10), of_snapshots=False, command_std=0.0)
     assert missing_evidence(SimpleNamespace(at=at, logged=logged), fitted) == 7.0
 
 
@@ -208,7 +221,7 @@ def test_between_snapshots_a_sudden_force_is_none_that_a_model_lacks():
         filtered=filtered,
     )
     for samples, lacks in ((1, 50.0), (4, 3.0)):
-        logged = SimpleNamespace(sampling=Sampling(1e3, 10), loop_samples=samples, command_std=0.0)
+        logged = SimpleNamespace(sampling=Sampling(1e3, 10), of_snapshots=samples > 1, command_std=0.0)
         fitter = SimpleNamespace(at=at, with_process=with_process, logged=logged, least=1e-3)
         assert missing_evidence(fitter, fitted) == lacks
 
@@ -272,12 +285,12 @@ def test_where_going_on_leaves_nothing_no_more_is_looked_for(monkeypatch):
     assert looks == [everything, everything, ["lead_error"]]  # which may pass for noise
 
 
-@pytest.mark.parametrize("command_std", [0.0, 0.3])
+@pytest.mark.parametrize(("snapshots", "command_std"), [(False, 0.0), (True, 0.0), (True, 0.3)])
 @pytest.mark.parametrize("twist", [None, 1.0])
-def test_what_a_second_encoder_would_see_is_looked_for_though_the_first_misses_nothing(monkeypatch, twist, command_std):
-    """And what passes for a moved number, unless it may be what is not known of the command."""
+def test_what_is_looked_for_though_nothing_is_missing(monkeypatch, twist, snapshots, command_std):
+    """What hides: in recalibration, in the scale's noise, between snapshots, or from a first of two encoders."""
     looked, base = [], fake_fit(evidence=0.0)
-    base.model.logged.command_std = command_std
+    base.model.logged.command_std, base.model.logged.of_snapshots = command_std, snapshots
 
     def look(fitter, before, few, *_):
         looked.extend(few)
@@ -285,13 +298,38 @@ def test_what_a_second_encoder_would_see_is_looked_for_though_the_first_misses_n
 
     monkeypatch.setattr(explain, "select_next_effect", look)
     monkeypatch.setattr(explain, "is_complete", lambda *_: True)
+    monkeypatch.setattr(explain, "sudden_force_evidence", lambda *_: 0.0)
     explain.explain(SimpleNamespace(twist=twist), base, candidates(AXIS), lambda *_: None)
     names = {one.name for one in looked}
-    assert ("constant_force" in names) == (command_std == 0.0)
-    assert names.isdisjoint({"cogging", "loop_delay", "friction_dwell"})
-    assert {"lead_error", "interpolation_error"} <= names  # they pass for noise of the scale
+    moved_numbers = {"constant_force", "force_gain", "payload_mass", "friction_shape"}
+    assert moved_numbers.isdisjoint(names) if command_std else (moved_numbers <= names)
+    forces = {"cogging", "loop_delay", "friction_dwell", "frame_vibration"}
+    assert (forces <= names) if snapshots else forces.isdisjoint(names)
+    assert {"lead_error", "interpolation_error", "force_limit"} <= names
     screws = {"compliance", "backlash"}
     assert (screws <= names) if twist else screws.isdisjoint(names)
+
+
+@pytest.mark.parametrize("snapshots", [False, True])
+def test_beside_what_was_found_more_than_errors_of_the_scale_hides_between_snapshots(monkeypatch, snapshots):
+    looks, base = [], fake_fit(evidence=0.0)
+    base.model.logged.of_snapshots = snapshots
+
+    def look(fitter, before, few, *_):
+        looks.append({one.name for one in few})
+        if len(looks) > 1:
+            return Round(before, [], [], 0, 0.0)
+        found = fake_fit("cogging", evidence=-1e3)
+        found.model.logged.of_snapshots = snapshots
+        return Round(before, [], [found], 1, 0.0)
+
+    monkeypatch.setattr(explain, "select_next_effect", look)
+    monkeypatch.setattr(explain, "is_complete", lambda *_: True)
+    monkeypatch.setattr(explain, "sudden_force_evidence", lambda *_: 0.0)
+    monkeypatch.setattr(explain, "_further", lambda *_: None)
+    explain.explain(SimpleNamespace(twist=None), base, candidates(AXIS), lambda *_: None)
+    assert "lead_error" in looks[1]
+    assert ("loop_delay" in looks[1]) == snapshots
 
 
 @pytest.mark.parametrize("base", [1e4, np.inf])

@@ -21,6 +21,7 @@ from tuning.diagnosis.fits.goodness_of_fit import (
     is_complete,
     max_prior_deviation,
     missing_evidence,
+    sudden_force_evidence,
 )
 from tuning.diagnosis.hypotheses.calibration import DELAY, NAMES, TOLERANCE
 from tuning.diagnosis.selection.search import recalibrated
@@ -66,6 +67,8 @@ def test_a_sound_machine_lacks_nothing_but_in_rows_that_are_read_as_held(log):
     held, read = ((fitter, recalibrated(fitter, TOLERANCE)) for fitter in fitters)
     assert missing_evidence(*held) > 100.0 * LACKING
     assert is_complete(*read)
+    assert sudden_force_evidence(*read) > LACKING  # of the commands between
+    assert sudden_force_evidence(*held) == 0.0
     assert max_prior_deviation(read[1]) < STRAINED
 
 
