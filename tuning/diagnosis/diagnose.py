@@ -212,8 +212,8 @@ def diagnose(
     searched = bool(most_effects) and not hopeless
     needed = _needed(fitter, found)
     amounts = small_amounts(fitter, found.best, catalogue) if searched else []
-    sought = _sought(fitter, found, catalogue) if searched else []
-    limits = detection_limits(fitter, found.best, sought, amounts, needed)
+    sought = _sought(fitter, found, catalogue)
+    limits = detection_limits(fitter, found.best, sought, amounts, needed) if searched else []
     alike = rivalries(fitter, found.best, amounts, limits)
     left = dependences(fitter, found.best, at) if searched and _is_lacking(fitter, found, verdict) else None
     progress("finding what these logs would show", 1, 1)
