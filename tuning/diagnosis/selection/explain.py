@@ -38,7 +38,7 @@ from tuning.diagnosis.selection.search import (
 from tuning.diagnosis.selection.stages import Tell, of_round, unheard
 
 AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
-SLIGHTER = 0.2  # in place of SLIGHT beside an effect whose details differ, or where the filter was lost all along
+SLIGHTER = 0.2  # in place of SLIGHT beside what is coarse, or where the filter was lost all along
 RELIEF = 20.0  # in evidence, that is enough where nothing is missing
 RESOLVING = 50.0  # in evidence, that is enough where nothing is left then: a small effect beside a large one
 MOST_EFFECTS = 2
@@ -80,12 +80,12 @@ def evidence_needed(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fit
     """The evidence that one more effect must bring beside the `best`, which explains all where it is `ended`.
 
     Less than a share of what was explained before may be a detail of that: of what effects explain and, of snapshots,
-    of what the sudden force between them does.
+    of what the sudden force between them does. That force is as coarse a model as any effect whose details differ.
     """
     if fits and relieves(fits[0], best):
         return WORTH
     model, gained = best.model, base.evidence - best.evidence
-    sudden = SLIGHT * sudden_force_evidence(fitter, best)
+    sudden = SLIGHTER * sudden_force_evidence(fitter, best)
     if ended and not model.coarse:
         # of logs of every sample only an error of the scale is looked for then: no detail of a force
         return max(RELIEF, sudden, min(SLIGHT * gained, RESOLVING) if model.logged.of_snapshots else 0.0)
@@ -101,14 +101,15 @@ def is_looked_for(one: Candidate, logged: Logged, by_second_encoder: bool, moved
 
     Of logs of every sample only what hides then: any other would show as a missing force. Between snapshots it would
     not, since any sudden force is allowed there: all are looked for but those that have to be searched for, which cost
-    minutes. Of snapshots whose command is told by the law of its loop, nothing is looked for that does what a moved
-    number does, before one is moved: an error of that law does as much, and lasts all along the log.
+    minutes, and those that act at starts, where the commands between the rows are known least. Where these are told by
+    the law of the loop, nothing is that does what a moved number does, before one is moved: an error of that law does
+    as much, and lasts all along the log.
     """
     if one.twists and by_second_encoder:
         return True
     if one.relieves and not moved and float(logged.command_std) > 0.0:
         return False
-    return one.unseen or (logged.of_snapshots and not one.searched)
+    return one.unseen or (logged.of_snapshots and not (one.searched or one.at_starts))
 
 
 @dataclass(frozen=True)
@@ -259,7 +260,7 @@ class _Search:
             return WORTH
         enough = max(WORTH, SLIGHT * (base.evidence - fewer.evidence))
         enough = min(enough, RESOLVING) if is_complete(self.fitter, best) else enough
-        return max(enough, SLIGHT * sudden_force_evidence(self.fitter, fewer))
+        return max(enough, SLIGHTER * sudden_force_evidence(self.fitter, fewer))
 
     def beside_the_last(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
         """What was searched for before the last effect was known searched for again beside it; without that one, and
@@ -295,7 +296,7 @@ def explain(
     first = other_first(found)
     if first is None or search.over(found.base, found.best):
         return found
-    enough = max(first.enough, SLIGHT * sudden_force_evidence(fitter, first.before))
+    enough = max(first.enough, SLIGHTER * sudden_force_evidence(fitter, first.before))
     first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]], enough=enough)
 
     def beside(catalogue: Sequence[Candidate]) -> Explanation:
