@@ -78,11 +78,6 @@ class Candidate(NamedTuple):
         return self.relieves or self.noisy or self.effect is actuator.ForceLimit
 
     @property
-    def at_starts(self) -> bool:
-        """Whether it acts where the table begins to slide, and hardly anywhere else."""
-        return self.effect in (friction.FrictionDwell, friction.PreslidingHysteresis)
-
-    @property
     def noisy(self) -> bool:
         """Whether it may pass for noise of the measurement."""
         return issubclass(self.effect, ScaleEffect)

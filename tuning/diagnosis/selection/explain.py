@@ -87,8 +87,7 @@ def evidence_needed(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fit
     model, gained = best.model, base.evidence - best.evidence
     sudden = SLIGHTER * sudden_force_evidence(fitter, best)
     if ended and not model.coarse:
-        # of logs of every sample only an error of the scale is looked for then: no detail of a force
-        return max(RELIEF, sudden, min(SLIGHT * gained, RESOLVING) if model.logged.of_snapshots else 0.0)
+        return max(RELIEF, sudden)
     slight = SLIGHTER if model.coarse or blind(fitter, base) else SLIGHT
     enough = max(RELIEF if ended else WORTH, slight * gained)
     if fits and not model.coarse and is_complete(fitter, fits[0]):
@@ -99,17 +98,15 @@ def evidence_needed(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fit
 def is_looked_for(one: Candidate, logged: Logged, by_second_encoder: bool, moved: bool) -> bool:
     """Whether an effect is looked for where no force is missing; `moved` is whether a number was moved far.
 
-    Of logs of every sample only what hides then: any other would show as a missing force. Between snapshots it would
-    not, since any sudden force is allowed there: all are looked for but those that have to be searched for, which cost
-    minutes, and those that act at starts, where the commands between the rows are known least. Where these are told by
-    the law of the loop, nothing is that does what a moved number does, before one is moved: an error of that law does
-    as much, and lasts all along the log.
+    Only what hides then: any other would show as a missing force. Where the commands between snapshots are told by the
+    law of the loop, nothing is that does what a moved number does, before one is moved: an error of that law does as
+    much, and lasts all along the log.
     """
     if one.twists and by_second_encoder:
         return True
     if one.relieves and not moved and float(logged.command_std) > 0.0:
         return False
-    return one.unseen or (logged.of_snapshots and not (one.searched or one.at_starts))
+    return one.unseen
 
 
 @dataclass(frozen=True)
@@ -133,6 +130,12 @@ class _Search:
         """Whether there is nothing left to explain, neither a force nor a number moved far."""
         return self.over(base, one) and max_prior_deviation(one) < STRAINED
 
+    def hides_in_sudden_force(self, base: Fitted, one: Fitted) -> bool:
+        """Whether nothing is missing, but between snapshots, where a sudden force may stand for the effects that were
+        fitted: they are held against it as they are, since nothing would be looked for beside it.
+        """
+        return one.model.logged.of_snapshots and self.over(base, one)
+
     def standing(self, base: Fitted, one: Fitted) -> tuple[bool, ...]:
         """What decides how the search goes on."""
         return self.over(base, one), max_prior_deviation(one) >= STRAINED, max_prior_deviation(one) > IMPOSSIBLE
@@ -140,7 +143,7 @@ class _Search:
     def looked(self, base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
         """One more effect looked for; where nothing is missing any more, not all are (`is_looked_for`)."""
         done, logged = self.done(base, before), before.model.logged
-        if rounds and done and not logged.of_snapshots:
+        if rounds and done:
             catalogue = [one for one in catalogue if one.noisy]
         elif self.over(base, before):
             seen = self.fitter.twist is not None
@@ -167,6 +170,7 @@ class _Search:
                 from_there = base if rounds else further
                 gained, explained = best.evidence - further.evidence, best.evidence - found.fits[0].evidence
                 again = gained > AGAIN * explained or self.standing(base, best) != self.standing(from_there, further)
+                again = again and not self.hides_in_sudden_force(from_there, further)
                 base, best = from_there, further
                 if rounds:
                     rounds = [*rounds[:-1], rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])]

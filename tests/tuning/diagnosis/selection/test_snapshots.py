@@ -1,18 +1,14 @@
 """Rows that are snapshots of a faster loop: the commands between them, and that a sound machine lacks nothing then."""
 
-import dataclasses
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from diffdrive.controllers import UnknownController
-from diffdrive.effects.forces import FrameVibration
 from experiments.studies.recovery.excitation import identification_motion
 from experiments.studies.recovery.truth import truth_log
 from tests.support.known_machine import GAINS, MACHINE
 from tests.support.slow_trace import every
-from tests.support.sound_log import axis_of, simulate_log, two_sines
 from tuning.diagnosis.diagnose import diagnose, logged_of
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
@@ -81,21 +77,6 @@ def test_no_force_within_what_is_not_known_of_the_command_is_any_effects(log):
     told = diagnose(MACHINE, UnknownController(), rows, loop_samples=SAMPLES).verdict
     assert told.verdict == "none"
     assert not [one for one in told.beliefs if one.found]
-
-
-@pytest.mark.long
-def test_what_the_grant_of_a_sudden_force_hides_is_found_all_the_same():
-    """A base that swings at 37 Hz seen in rows of 2 ms: what is granted between them is as much force."""
-    rate, samples = 4_000.0, 8
-    believed = axis_of(rate=rate)
-    swinging = dataclasses.replace(believed.drive, effects=(FrameVibration(ratio=0.02, frequency=37.0, damping=0.06),))
-    log = simulate_log(dataclasses.replace(believed, drive=swinging), two_sines(rate=rate))
-    rows = every(log, samples)
-    fitter = Fitter(logged_of(believed.drive, [rows], samples))
-    assert is_complete(fitter, recalibrated(fitter, TOLERANCE))
-    told = diagnose(believed.drive, UnknownController(), [rows], loop_samples=samples).verdict
-    assert told.verdict == "effect"
-    assert [one.effect for one in told.beliefs if one.found] == ["frame_vibration"]
 
 
 @pytest.mark.long
