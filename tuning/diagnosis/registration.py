@@ -25,11 +25,11 @@ from tuning.diagnosis.selection.screening import begin
 from tuning.diagnosis.selection.search import initial_trajectory
 from tuning.identification.problem import MIN_LANE_SAMPLES
 
-DISTURBANCE_TIME = 5.0  # s
+REGISTERED = 5.0  # s of a log, by which it is registered
 AWAY = 10.0  # standard deviations of its prior: a time out there, such as that of a load that is never taken off, stays
 
 
-def registered(drive: Drive, log: Log, seconds: float = DISTURBANCE_TIME) -> Drive:
+def registered(drive: Drive, log: Log, seconds: float = REGISTERED) -> Drive:
     """`drive` with the session parameters of its effects, and a constant force, from the first seconds of `log`.
 
     Raises `LogError` for a log without a long enough piece, in those seconds or at all.

@@ -131,8 +131,8 @@ def _asked(
     count, parts = asked.shape
     late = delay + sum(effect.delay for effect in effects if isinstance(effect, LoopDelay))
     limited = cast(Array, saturate(drive.actuator, asked.reshape(-1)))  # of an array, it is one
-    innovation_jvp = mean_forces(drive.actuator, limited, sampling.period / parts)
-    force = _held_back(innovation_jvp, jnp.maximum(late, -ahead) * parts)
+    applied = mean_forces(drive.actuator, limited, sampling.period / parts)
+    force = _held_back(applied, jnp.maximum(late, -ahead) * parts)
     return tuple(effect for effect in effects if not isinstance(effect, LoopDelay)), force.reshape(count, parts)
 
 

@@ -94,7 +94,7 @@ def innovation_jvp(
     counts: Float[Array, "lanes n"],
     period: float,
 ) -> Float[Array, "lanes n k"]:
-    """Answers of the innovations, over their scatter, to the machine's numbers ([p, k]) and to exposures."""
+    """Answers of the innovations, over their scatter, to changes of the machine's numbers ([p, k]) and of what acts."""
     forcing = jnp.einsum("lnrp,pk->lnrk", step_jacobians.machine, machine)
     off = jnp.zeros((*forcing.shape[:2], forcing.shape[-1]))
     if signals is not None:

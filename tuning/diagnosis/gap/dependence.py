@@ -150,8 +150,8 @@ def _judged(fitted: Fitted, family: Family, abscissa: Signal) -> Dependence:
     weights = 0.5 * np.array(evidences)
     evidence = 2.0 * float(logsumexp(weights) - np.log(len(SCALES)))
     shares = np.exp(weights - logsumexp(weights))
-    trajectory = family.basis @ (family.unit * np.einsum("s,sc->c", shares, np.array(corners)))
-    return Dependence(family.of, family.kind, evidence, *_size(fitted, trajectory, abscissa, family.of == "time"))
+    function = family.basis @ (family.unit * np.einsum("s,sc->c", shares, np.array(corners)))
+    return Dependence(family.of, family.kind, evidence, *_size(fitted, function, abscissa, family.of == "time"))
 
 
 def _at_scale(
@@ -164,12 +164,12 @@ def _at_scale(
 
 
 def _size(
-    fitted: Fitted, trajectory: Signal, abscissa: Signal, log_by_log: bool
+    fitted: Fitted, function: Signal, abscissa: Signal, log_by_log: bool
 ) -> tuple[float, float | None, float | None, int | None]:
     """RMS of a function of time while the table moves, where most of its energy lies, and the log, if of one."""
     counts = np.asarray(fitted.model.logged.lanes.counts) > 0.0
     moving = counts & (np.abs(np.asarray(fitted.filtered.trajectory.velocity)) > SLOW)
-    energy = np.where(moving, trajectory**2, 0.0)
+    energy = np.where(moving, function**2, 0.0)
     if not energy.any():
         return 0.0, None, None, None
     rms, log = float(np.sqrt(energy.sum() / moving.sum())), None

@@ -136,7 +136,7 @@ def compare_models(
         # how far a model is trusted is chosen anew: one that fitted to the noise may be a little off elsewhere
         there = test.at(one.model, one.theta, one.process_noise, one.filtered.trajectory)
         processes = np.vstack([one.process_noise * NEAR, test.first, test.quiet(one.process_noise)])
-        predicted_twist = test.with_process(there, one.model, processes)
+        likeliest = test.with_process(there, one.model, processes)
         ratio = 1.0 - squares / drawn[0]
         low, high = (float(x) for x in np.percentile(ratio, [2.5, 97.5]))
         # with effects within the filter what noise makes of it is no linear matter, and may seem to grow without end
@@ -154,7 +154,7 @@ def compare_models(
         shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
         return ModelComparison(
             name, one, gap, gap.interval(rate), floor, shrink, loop,
-            _unlikely(predicted_twist.filtered, parts.test, rate), process_noise,
+            _unlikely(likeliest.filtered, parts.test, rate), process_noise,
         )  # fmt: skip
 
     trusting = [one for _, one in told_by]
