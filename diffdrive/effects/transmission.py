@@ -17,7 +17,6 @@ are integrated in short steps, the table from the drive's state.
 
 import abc
 import math
-from collections.abc import Callable
 from typing import ClassVar, NamedTuple
 
 import jax
@@ -28,9 +27,15 @@ from jaxtyping import Array, Float, PyTree
 
 from diffdrive.effects.base import Acts, Envelope, Seen, StepOrder, TableEffect
 from diffdrive.effects.forces import too_many_turns
-from diffdrive.model.friction import coulomb, friction_under_load, midpoint_friction
+from diffdrive.model.friction import (
+    LoadedFriction,
+    coulomb,
+    friction_under_load,
+    midpoint_friction,
+    midpoint_friction_with_slopes,
+)
 from diffdrive.model.parameters import Drive
-from diffdrive.model.quantity import quantity
+from diffdrive.model.quantity import Directional, quantity
 from diffdrive.numerics.arrays import Scalar
 from diffdrive.numerics.once import once
 from diffdrive.numerics.oscillator import DiscreteOscillator, Oscillator, discretise
@@ -95,14 +100,182 @@ class _TwoMass(NamedTuple):
         return self.impulse / period, (self.impulse_integral - 0.5 * period * self.impulse) / mass
 
 
+class _Contact(NamedTuple):
+    """What a screw with a dead zone does over a substep."""
+
+    edge: Scalar  # m, where the dead zone holds the motor: at its edge, or anywhere within it
+    inside: Scalar  # whether that is within it
+    touching: Scalar
+
+
+class _Transition(NamedTuple):
+    """The motor's answer over a substep to small changes of its state, of its push and of the dead zone's edge."""
+
+    deflection: Scalar  # of the deflection's distance from the edge
+    rate: Scalar  # s, of the rate
+    push: Scalar  # s^2
+    rate_by_deflection: Scalar  # 1/s
+    rate_by_rate: Scalar
+    rate_by_push: Scalar  # s
+    inside: Scalar | None  # whether the edge goes with the motor; None: there is no dead zone
+
+    def along(self, q: Oscillator, push: Scalar, h: float) -> Oscillator:
+        """Of the motor, for such changes."""
+        edge = 0.0 if self.inside is None else jnp.where(self.inside, _midpoint(q, h), 0.0)
+        off = q.deflection - edge
+        return Oscillator(
+            edge + self.deflection * off + self.rate * q.rate + self.push * push,
+            self.rate_by_deflection * off + self.rate_by_rate * q.rate + self.rate_by_push * push,
+        )
+
+
+def _midpoint(q: Oscillator, h: float) -> Scalar:
+    return q.deflection + 0.5 * h * q.rate
+
+
+class _TwoMassStep(NamedTuple):
+    """One substep of motor and table: friction at the midpoint's velocities, and all else linear in it and the state.
+
+    By products: divisions cost as much as the rest of the balance.
+    """
+
+    oscillator: DiscreteOscillator
+    half_gap: Scalar | None  # m
+    friction: LoadedFriction
+    damping: Directional
+    table_friction: Scalar  # share
+    per_motor: Scalar  # 1/kg, of the motor's mass
+    per_table: Scalar  # 1/kg, of the table's
+    per_table_share: Scalar
+    reduced_mass: Scalar  # kg
+    external: Scalar  # N, on the table
+    h: float  # s
+
+    def velocities(self, masses: _TwoMass) -> tuple[Scalar, Scalar]:
+        """Of table and motor, in the middle of the substep: linear in the state."""
+        table = masses.velocity + 0.5 * self.h * masses.motor.table_acceleration
+        return table, table + masses.motor.relative.rate + 0.5 * self.h * masses.motor.relative_acceleration
+
+    def push(self, table_friction: Scalar, motor_friction: Scalar, force: Scalar, external: Scalar) -> Scalar:
+        """What moves the motor against the table beside the screw (m/s^2): linear."""
+        r = self.table_friction
+        return (force - (1.0 - r) * motor_friction) * self.per_motor + (r * table_friction - external) * self.per_table
+
+    def contact(self, q: Oscillator, push: Scalar) -> _Contact | None:
+        """What the screw does under that push; None where it is always in contact."""
+        if self.half_gap is None:
+            return None
+        midpoint = _midpoint(q, self.h)
+        edge = jnp.clip(midpoint, -self.half_gap, self.half_gap)
+        rate = self.oscillator.step(Oscillator(q.deflection - edge, q.rate), push).rate
+        contact_force = push - (rate - q.rate) * (1.0 / self.h)
+        # the sides of a gap push, they do not pull
+        touching = (self.half_gap <= 0.0) | ((midpoint - edge) * contact_force > 0.0)
+        return _Contact(edge, jnp.abs(midpoint) < self.half_gap, touching)
+
+    def relative(self, q: Oscillator, push: Scalar, contact: _Contact | None) -> Oscillator:
+        """The motor against the table a substep later."""
+        if contact is None:
+            return self.oscillator.step(q, push)
+        # exact in contact: the dead zone's edge shifts the equilibrium
+        touching = self.oscillator.step(Oscillator(q.deflection - contact.edge, q.rate), push)
+        free = Oscillator(q.deflection + self.h * q.rate + 0.5 * self.h**2 * push, q.rate + self.h * push)
+        deflected = jnp.where(contact.touching, touching.deflection + contact.edge, free.deflection)
+        return Oscillator(deflected, jnp.where(contact.touching, touching.rate, free.rate))
+
+    def transition(self, contact: _Contact | None) -> _Transition:
+        """How that answers small changes."""
+        one, h = self.oscillator, self.h
+        cosine, sine = one.cosine + one.sine * one.decay_rate, one.sine
+        touching = (
+            cosine, sine, (1.0 - cosine) * one.compliance,
+            -sine * one.frequency_squared, one.cosine - sine * one.decay_rate, sine,
+        )  # fmt: skip
+        if contact is None:
+            return _Transition(*touching, None)
+        free = (1.0, h, 0.5 * h**2, 0.0, 1.0, h)
+        chosen = [jnp.where(contact.touching, a, b) for a, b in zip(touching, free, strict=True)]
+        return _Transition._make([*chosen, contact.inside])
+
+    def ahead(
+        self,
+        masses: _TwoMass,
+        frictions: tuple[Scalar, Scalar],
+        push: Scalar,
+        relative: Oscillator,
+        external: Scalar,
+    ) -> _TwoMass:
+        """Both masses at the end of the substep, whose bristles are yet where they were: linear."""
+        h, rate = self.h, masses.motor.relative.rate
+        relative_acceleration = (relative.rate - rate) * (1.0 / h)
+        screw_force = self.reduced_mass * (push - relative_acceleration)
+        on_table = screw_force - self.table_friction * frictions[0]
+        table_acceleration = once((on_table + external) * self.per_table)
+        extra_force = on_table * self.per_table_share + frictions[0]
+        return masses._replace(
+            motor=MotorState(relative, masses.motor.bristle, relative_acceleration, table_acceleration),
+            velocity=masses.velocity + h * table_acceleration,
+            impulse=masses.impulse + h * extra_force,
+            impulse_integral=masses.impulse_integral + h * (masses.impulse + 0.5 * h * extra_force),
+        )
+
+    def value(self, masses: _TwoMass, force: Scalar) -> _TwoMass:
+        """Both masses a substep later under the motor's force (N)."""
+        velocities, given, q = self.velocities(masses), (self.friction, self.damping), masses.motor.relative
+        table, bristle = midpoint_friction(*given, velocities[0], masses.bristle, self.h)
+        motor, motor_bristle = midpoint_friction(*given, velocities[1], masses.motor.bristle, self.h)
+        push = self.push(table, motor, force, self.external)
+        push, relative = once((push, self.relative(q, push, self.contact(q, push))))
+        return _with_bristles(self.ahead(masses, (table, motor), push, relative, self.external), bristle, motor_bristle)
+
+    def with_tangents(
+        self, masses: _TwoMass, force: Scalar, tangents: tuple[_TwoMass, ...]
+    ) -> tuple[_TwoMass, tuple[_TwoMass, ...]]:
+        """`value`, and how it answers small changes of the state.
+
+        By the chain rule, with the four derivatives of each friction: through every operation a tangent costs several
+        times as much.
+        """
+        velocities, given, q = self.velocities(masses), (self.friction, self.damping), masses.motor.relative
+        (table, bristle), by_table = midpoint_friction_with_slopes(*given, velocities[0], masses.bristle, self.h)
+        (motor, motor_bristle), by_motor = midpoint_friction_with_slopes(
+            *given, velocities[1], masses.motor.bristle, self.h
+        )
+        push = self.push(table, motor, force, self.external)
+        contact = self.contact(q, push)
+        push, relative, by_table, by_motor, transition = once(
+            (push, self.relative(q, push, contact), by_table, by_motor, self.transition(contact))
+        )
+
+        def along(tangent: _TwoMass) -> _TwoMass:
+            velocities = self.velocities(tangent)
+            table, bristle = by_table.along(velocities[0], tangent.bristle)
+            motor, motor_bristle = by_motor.along(velocities[1], tangent.motor.bristle)
+            push = self.push(table, motor, 0.0, 0.0)
+            relative = transition.along(tangent.motor.relative, push, self.h)
+            return _with_bristles(self.ahead(tangent, (table, motor), push, relative, 0.0), bristle, motor_bristle)
+
+        ahead = self.ahead(masses, (table, motor), push, relative, self.external)
+        return _with_bristles(ahead, bristle, motor_bristle), tuple(map(along, tangents))
+
+
+def _with_bristles(masses: _TwoMass, table: Scalar, motor: Scalar) -> _TwoMass:
+    return masses._replace(bristle=table, motor=masses.motor._replace(bristle=motor))
+
+
 class _Substeps(NamedTuple):
     """One control period in substeps."""
 
     initial: _TwoMass
-    substep: Callable[[_TwoMass, Scalar | None], _TwoMass]
-    steps: int
+    step: _TwoMassStep
+    number: int
+    force: Scalar  # N, of the motor
     ripple: Float[Array, " substeps"] | None
     constant: Scalar  # N, on the table throughout
+
+    def force_with(self, ripple: Scalar | None) -> Scalar:
+        """The motor's in a substep."""
+        return self.force if ripple is None else self.force + ripple
 
     def end(self, masses: _TwoMass, drive: Drive, period: float) -> tuple[MotorState, Acts]:
         """The motor, and the force that the rigid drive needs."""
@@ -115,69 +288,29 @@ def _substeps(period: float) -> int:
 
 
 def _discretised(screw: Screw, motor: MotorState, seen: Seen, drive: Drive, period: float) -> _Substeps:
-    mass, s, r = drive.plant.mass, screw.motor_share, screw.table_friction
-    angular, reduced = 2.0 * jnp.pi * screw.frequency, s * (1.0 - s) * mass
     ripple_parts = 1 if seen.ripple is None else len(seen.ripple)
     count = ripple_parts * _substeps(period / ripple_parts)
     h = period / count
-    external, friction, damping = (
-        seen.external_force(drive),
-        friction_under_load(drive.friction, seen.load),
-        drive.plant.damping,
+    mass, s, external = drive.plant.mass, screw.motor_share, seen.external_force(drive)
+    per_table_share = 1.0 / (1.0 - s)
+    step = _TwoMassStep(
+        oscillator=discretise(2.0 * jnp.pi * screw.frequency, screw.damping, h),
+        half_gap=None if screw.gap is None else 0.5 * screw.gap,
+        friction=friction_under_load(drive.friction, seen.load),
+        damping=drive.plant.damping,
+        table_friction=screw.table_friction,
+        per_motor=1.0 / (s * mass),
+        per_table=per_table_share / mass,
+        per_table_share=per_table_share,
+        reduced_mass=s * (1.0 - s) * mass,
+        external=external,
+        h=h,
     )
-    # by products: divisions cost as much as the rest of the balance
-    per_motor, per_table_share = 1.0 / (s * mass), 1.0 / (1.0 - s)
-    per_table = per_table_share / mass
-    contact = discretise(angular, screw.damping, h)
-
-    def substep(masses: _TwoMass, ripple: Scalar | None) -> _TwoMass:
-        (q, bristle, relative_acceleration, table_acceleration), velocity, deflection, impulse, impulse_integral = (
-            masses
-        )
-        midpoint_velocity = velocity + 0.5 * h * table_acceleration
-        table_friction, deflection = midpoint_friction(friction, damping, midpoint_velocity, deflection, h)
-        motor_friction, bristle = midpoint_friction(
-            friction, damping, midpoint_velocity + q.rate + 0.5 * h * relative_acceleration, bristle, h
-        )
-        force = seen.force if ripple is None else seen.force + ripple
-        push = (force - (1.0 - r) * motor_friction) * per_motor + (r * table_friction - external) * per_table
-        next_relative = (
-            contact.step(q, push) if screw.gap is None else _step_with_gap(contact, 0.5 * screw.gap, q, push, h)
-        )
-        push, next_relative = once((push, next_relative))
-        relative_acceleration = (next_relative.rate - q.rate) * (1.0 / h)
-        screw_force = reduced * (push - relative_acceleration)
-        table_acceleration = (screw_force - r * table_friction + external) * per_table
-        table_acceleration = once(table_acceleration)
-        velocity = velocity + h * table_acceleration
-        extra_force = (screw_force - r * table_friction) * per_table_share + table_friction
-        impulse, impulse_integral = impulse + h * extra_force, impulse_integral + h * (impulse + 0.5 * h * extra_force)
-        return _TwoMass(
-            MotorState(next_relative, bristle, relative_acceleration, table_acceleration),
-            velocity,
-            deflection,
-            impulse,
-            impulse_integral,
-        )
-
     zero = jnp.zeros_like(seen.velocity)
     initial = _TwoMass(motor, seen.velocity, seen.bristle, zero, zero)
     ripple = None if seen.ripple is None else jnp.repeat(seen.ripple, count // ripple_parts)
-    return _Substeps(initial, substep, count, ripple, external * per_table_share - seen.force - external)
-
-
-def _step_with_gap(contact: DiscreteOscillator, half: Scalar, q: Oscillator, push: Scalar, h: float) -> Oscillator:
-    """The motor a substep later, with a dead zone of `half` (m) to either side."""
-    midpoint = q.deflection + 0.5 * h * q.rate
-    inside = jnp.clip(midpoint, -half, half)
-    # exact in contact: the dead zone's edge shifts the equilibrium
-    contact_state = contact.step(Oscillator(q.deflection - inside, q.rate), push)
-    contact_force = push - (contact_state.rate - q.rate) * (1.0 / h)
-    # the sides of a gap push, they do not pull
-    touching = (half <= 0.0) | ((midpoint - inside) * contact_force > 0.0)
-    free = Oscillator(q.deflection + h * q.rate + 0.5 * h**2 * push, q.rate + h * push)
-    deflected = jnp.where(touching, contact_state.deflection + inside, free.deflection)
-    return Oscillator(deflected, jnp.where(touching, contact_state.rate, free.rate))
+    constant = external * per_table_share - seen.force - external
+    return _Substeps(initial, step, count, seen.force, ripple, constant)
 
 
 def step_screw(screw: Screw, motor: MotorState, seen: Seen, drive: Drive, period: float) -> tuple[MotorState, Acts]:
@@ -185,9 +318,9 @@ def step_screw(screw: Screw, motor: MotorState, seen: Seen, drive: Drive, period
     substeps = _discretised(screw, motor, seen, drive, period)
 
     def body(masses: _TwoMass, ripple: Scalar | None) -> tuple[_TwoMass, None]:
-        return once(substeps.substep(masses, ripple)), None
+        return once(substeps.step.value(masses, substeps.force_with(ripple))), None
 
-    return substeps.end(lax.scan(body, substeps.initial, substeps.ripple, length=substeps.steps)[0], drive, period)
+    return substeps.end(lax.scan(body, substeps.initial, substeps.ripple, length=substeps.number)[0], drive, period)
 
 
 def step_screw_with_sensitivities(
@@ -201,8 +334,7 @@ def step_screw_with_sensitivities(
 
     def body(carry: PyTree, ripple: Scalar | None) -> tuple[PyTree, None]:
         masses, tangents = carry
-        masses, slope = jax.linearize(lambda one: substeps.substep(one, ripple), masses)
-        return once((masses, tuple(slope(one) for one in tangents))), None
+        return once(substeps.step.with_tangents(masses, substeps.force_with(ripple), tangents)), None
 
     zeros = jax.tree.map(jnp.zeros_like, substeps.initial)
     one = jnp.ones_like(seen.velocity)
@@ -213,7 +345,7 @@ def step_screw_with_sensitivities(
         zeros._replace(motor=motor_zeros._replace(relative=relative_zeros._replace(deflection=one))),
         zeros._replace(motor=motor_zeros._replace(relative=relative_zeros._replace(rate=one))),
     )
-    (masses, tangents), _ = lax.scan(body, (substeps.initial, tangents), substeps.ripple, length=substeps.steps)
+    (masses, tangents), _ = lax.scan(body, (substeps.initial, tangents), substeps.ripple, length=substeps.number)
     sensitivities = tuple(Sensitivity(*one.motor.relative, *one.acts(drive.plant.mass, period)) for one in tangents)
     return (*substeps.end(masses, drive, period), sensitivities)
 

@@ -202,8 +202,60 @@ def midpoint_friction(
     friction: LoadedFriction, damping: Directional, velocity: Scalar, bristle: Scalar, step: float
 ) -> tuple[Scalar, Scalar]:
     """Friction and damping (N) in the middle of a `step` (s) at one velocity (m/s), and the bristle (m) at its end."""
+    shares = relaxation_map(friction.stiffness.towards(bristle), friction.level(velocity), velocity, 0.5 * step)
+    return _midpoint(friction, damping, velocity, bristle, step, shares)
+
+
+class FrictionSlopes(NamedTuple):
+    """Derivatives of `midpoint_friction`."""
+
+    force_by_velocity: Scalar  # N s/m
+    force_by_bristle: Scalar  # N/m
+    bristle_by_velocity: Scalar  # s
+    bristle_by_bristle: Scalar
+
+    def along(self, velocity: Scalar, bristle: Scalar) -> tuple[Scalar, Scalar]:
+        """Force and bristle as they answer small changes."""
+        return (
+            self.force_by_velocity * velocity + self.force_by_bristle * bristle,
+            self.bristle_by_velocity * velocity + self.bristle_by_bristle * bristle,
+        )
+
+
+def midpoint_friction_with_slopes(
+    friction: LoadedFriction, damping: Directional, velocity: Scalar, bristle: Scalar, step: float
+) -> tuple[tuple[Scalar, Scalar], FrictionSlopes]:
+    """`midpoint_friction`, and its derivatives: it is linear in the bristle, whose share at the velocity is known."""
     stiffness = friction.stiffness.towards(bristle)
-    remaining, gained = relaxation_map(stiffness, friction.level(velocity), velocity, 0.5 * step)
+
+    def shares(velocity: Scalar) -> tuple[Scalar, Scalar]:
+        return relaxation_map(stiffness, friction.level(velocity), velocity, 0.5 * step)
+
+    (remaining, gained), slope = jax.jvp(shares, (velocity,), (jnp.ones_like(velocity),))
+    half = remaining * bristle + gained
+    half_slope = slope[0] * bristle + slope[1]
+    end_slope = slope[0] * half + remaining * half_slope + slope[1]
+    per_step = friction.damping.towards(velocity) * (1.0 / step)
+    viscous = friction.viscous.towards(velocity) + damping.towards(velocity)
+    slopes = FrictionSlopes(
+        force_by_velocity=stiffness * half_slope + per_step * end_slope + viscous,
+        force_by_bristle=stiffness * remaining + per_step * (remaining * remaining - 1.0),
+        bristle_by_velocity=end_slope,
+        bristle_by_bristle=remaining * remaining,
+    )
+    return _midpoint(friction, damping, velocity, bristle, step, (remaining, gained)), slopes
+
+
+def _midpoint(
+    friction: LoadedFriction,
+    damping: Directional,
+    velocity: Scalar,
+    bristle: Scalar,
+    step: float,
+    shares: tuple[Scalar, Scalar],
+) -> tuple[Scalar, Scalar]:
+    remaining, gained = shares
+    stiffness = friction.stiffness.towards(bristle)
     half = remaining * bristle + gained
     end = remaining * half + gained
     bristle_damping = friction.damping.towards(velocity) * ((end - bristle) * (1.0 / step))

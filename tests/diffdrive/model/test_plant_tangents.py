@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from diffdrive.model.friction import friction_under_load, midpoint_friction, midpoint_friction_with_slopes
 from diffdrive.model.plant import PlantState, advance, advance_with_tangents
 from diffdrive.numerics.arrays import as_arrays
 from tests.support.sound_log import DRIVE
@@ -84,3 +85,21 @@ def test_tangents_under_a_ripple_are_the_derivatives(velocity):
     value, expected = jax.jvp(one_period, (state, jnp.asarray(20.0)), way)
     np.testing.assert_allclose(np.array(ahead), np.array(value), rtol=1e-14)
     np.testing.assert_allclose(np.array(tangent), np.array(expected), rtol=1e-10, atol=1e-18)
+
+
+@pytest.mark.parametrize("velocity", [1e-7, -2e-5, 0.003, -0.2])
+@pytest.mark.parametrize("bristle", [3e-8, -4e-6])
+def test_slopes_of_friction_in_a_step_are_its_derivatives(velocity, bristle):
+    """In presliding, about breakaway, sliding, and turned back against a bent bristle."""
+    drive = as_arrays(DRIVE.drive)
+    friction, damping = friction_under_load(drive.friction, jnp.asarray(300.0)), drive.plant.damping
+
+    def after(velocity, bristle):
+        return jnp.stack(midpoint_friction(friction, damping, velocity, bristle, 5e-5))
+
+    here = jnp.asarray(velocity), jnp.asarray(bristle)
+    value, slopes = midpoint_friction_with_slopes(friction, damping, *here, 5e-5)
+    by_velocity, by_bristle = jax.jacfwd(after, argnums=(0, 1))(*here)
+    np.testing.assert_array_equal(jnp.stack(value), after(*here))
+    np.testing.assert_allclose([slopes.force_by_velocity, slopes.bristle_by_velocity], by_velocity, rtol=1e-12)
+    np.testing.assert_allclose([slopes.force_by_bristle, slopes.bristle_by_bristle], by_bristle, rtol=1e-12)

@@ -64,8 +64,18 @@ def test_answers_of_motor_and_table_are_those_of_differences(screw, at):
         assert np.all(off < 2e-3 * np.abs(slope) + rounding), (k, off, slope)
 
 
-def test_one_loop_answers_as_the_derivative_of_the_step_does():
-    effect, drive = SCREWS["loose"], DRIVE.drive
+@pytest.mark.parametrize(
+    ("screw", "at"),
+    [
+        ("elastic", (0.02, 1.5e-6, 3e-7, -1e-4)),
+        ("elastic", (-1e-6, 2e-7, 1e-7, 1e-6)),  # it sticks
+        ("loose", (0.02, 1.5e-6, 1e-6, 1e-4)),  # free
+        ("loose", (-0.01, -1e-6, -4.8e-6, -1e-4)),  # against one side
+        ("loose", (0.02, 1.5e-6, 4.2e-6, 2e-3)),  # it strikes
+    ],
+)
+def test_one_loop_answers_as_the_derivative_of_the_step_does(screw, at):
+    effect, drive = SCREWS[screw], DRIVE.drive
 
     def after(values):
         velocity, bristle, deflection, rate = values
@@ -73,10 +83,12 @@ def test_one_loop_answers_as_the_derivative_of_the_step_does():
         motor, acts = effect.step(motor, seen(velocity, bristle), drive, 5e-4)
         return jnp.stack([*motor.relative, acts.force, acts.shift])
 
-    here = jnp.array([0.02, 1.5e-6, 4.2e-6, 2e-3])
+    here = jnp.array(at)
     motor = MotorState.at_rest()._replace(relative=Oscillator(here[2], here[3]))
-    answers = effect.step_with_sensitivities(motor, seen(here[0], here[1]), drive, 5e-4)[2]
-    np.testing.assert_allclose(jnp.stack([jnp.stack([*one]) for one in answers], axis=1), jax.jacfwd(after)(here))
+    ahead, acts, answers = effect.step_with_sensitivities(motor, seen(here[0], here[1]), drive, 5e-4)
+    np.testing.assert_allclose(jnp.stack([*ahead.relative, acts.force, acts.shift]), after(here), rtol=1e-12)
+    found = jnp.stack([jnp.stack([*one]) for one in answers], axis=1)
+    np.testing.assert_allclose(found, jax.jacfwd(after)(here), rtol=1e-7)
 
 
 def test_where_no_screw_is_there_is_nothing_hidden():
