@@ -19,9 +19,10 @@ from scipy.stats import qmc
 from diffdrive.effects.base import Effect
 from diffdrive.effects.stages import Effects
 from diffdrive.model.friction import coulomb
-from diffdrive.model.parameters import Drive
+from diffdrive.model.parameters import Drive, Sampling
+from diffdrive.numerics.arrays import Scalar
 from tuning.diagnosis.filter.effect_signals import EffectSignals
-from tuning.diagnosis.filter.ekf import ProcessNoise, deviance_of, run_filter
+from tuning.diagnosis.filter.ekf import ProcessNoise, compiled_filter, deviance_of
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.goodness_of_fit import WORTH
 from tuning.diagnosis.gap.lines import missing_force
@@ -54,7 +55,6 @@ class Stretches(NamedTuple):
 
     lanes: Lanes
     under: EffectSignals
-    owner: tuple[int, ...]
 
 
 def telling(fitted: Fitted) -> list[tuple[int, int]]:
@@ -74,8 +74,8 @@ def telling(fitted: Fitted) -> list[tuple[int, int]]:
     return found
 
 
-def cut(logged: Logged, under: EffectSignals, places: list[tuple[int, int]]) -> Stretches:
-    """The stretches that begin at `places`, each with its lead."""
+def cut(logged: Logged, under: EffectSignals, places: list[tuple[int, int]]) -> tuple[Stretches, tuple[int, ...]]:
+    """The stretches that begin at `places`, each with its lead, and the log of each."""
     rate, n = logged.sampling.rate, logged.lanes.position.shape[1]
     lead = min(round(LEAD * rate), n // 4)
     length = min(round(LENGTH * rate) + lead, n)
@@ -89,7 +89,7 @@ def cut(logged: Logged, under: EffectSignals, places: list[tuple[int, int]]) -> 
     lanes = jax.tree.map(piece, signals)
     settled = jnp.asarray((np.arange(length) >= lead).astype(float))
     lanes = lanes._replace(counts=lanes.counts * settled, velocity=initial_velocity(lanes.position, rate))
-    return Stretches(lanes, jax.tree.map(piece, under), tuple(logged.owner[lane] for lane, _ in begins))
+    return Stretches(lanes, jax.tree.map(piece, under)), tuple(logged.owner[lane] for lane, _ in begins)
 
 
 @eqx.filter_jit
@@ -99,7 +99,8 @@ def _deviances(
     coupled: Effects,
     push: Float[np.ndarray, " s"],
     process_noise: Float[np.ndarray, "s 2"],
-    logged: Logged,
+    noise: Scalar,
+    sampling: Sampling,
 ) -> Float[Array, " s"]:
     def one(coupled: Effects, push: Float[Array, ""], process_noise: Float[Array, " 2"]) -> Float[Array, ""]:
         under = stretches.under
@@ -107,9 +108,7 @@ def _deviances(
 
         def each(*stretch: PyTree) -> tuple[Array, Array]:  # all side by side: short as they are, that is faster
             lanes, under, coupled = jax.tree.map(lambda leaf: leaf[None], stretch)
-            filtered = run_filter(
-                drive, under, coupled, ProcessNoise(*process_noise), logged.noise, lanes, logged.sampling
-            )
+            filtered = compiled_filter(drive, under, coupled, ProcessNoise(*process_noise), noise, lanes, sampling)
             return filtered.innovation[0], filtered.innovation_std[0]
 
         innovation, scatter = jax.vmap(each)(stretches.lanes, pushed, coupled)
@@ -161,19 +160,19 @@ def evolved(fitted: Fitted, model: Model, index: int, theta: Vector, seed: int |
     places = telling(fitted)
     if not places:  # nothing is missing, or nobody can say where
         return Evolved(values(first), forces(first))
-    stretches = cut(logged, signals_along(logged, own, loose, fitted.filtered.trajectory), places)
+    stretches, owner = cut(logged, signals_along(logged, own, loose, fitted.filtered.trajectory), places)
 
-    usual = effect_in_lanes(candidate.effect, {}, stretches.owner)
+    usual = effect_in_lanes(candidate.effect, {}, owner)
 
     def in_stretches(shares: Float[np.ndarray, "s k"]) -> Effect:
         """The effect of every member over the stretches, as one whose numbers are arrays."""
         members = [values(share) for share in shares]
         known = {name: np.array([one[name][:1] for one in members]) for name in members[0]}
         fields = {field.name: known.get(field.name, getattr(usual, field.name)) for field in dataclasses.fields(usual)}
-        size = len(shares), len(stretches.owner)
+        size = len(shares), len(owner)
         return candidate.effect(**{name: np.broadcast_to(value, size) for name, value in fields.items()})
 
-    lanes = np.array([logged.owner.index(k) for k in stretches.owner])
+    lanes = np.array([logged.owner.index(k) for k in owner])
     beside = within and jax.tree.map(lambda one: one[lanes], within)
 
     def besides(count: int) -> Effects:
@@ -187,7 +186,7 @@ def evolved(fitted: Fitted, model: Model, index: int, theta: Vector, seed: int |
 
     def deviances(shares: Float[np.ndarray, "s k"], members: Effects) -> Float[np.ndarray, " s"]:
         push = PUSH * level * (2.0 * shares[:, -2] - 1.0)
-        return np.asarray(_deviances(drive, stretches, members, push, forces(shares), logged))
+        return np.asarray(_deviances(drive, stretches, members, push, forces(shares), logged.noise, logged.sampling))
 
     def searched(start: Float[np.ndarray, " k"], seed: int) -> Minimum:
         apart = SAMPLE ** (-1.0 / len(start))  # of the points of a sample, from one to the next
