@@ -61,7 +61,7 @@ from tuning.diagnosis.judgement.held_out import (
 from tuning.diagnosis.judgement.ladder import ModelComparison, compare_models, known_floor
 from tuning.diagnosis.judgement.rest import Rest
 from tuning.diagnosis.judgement.verdict import Verdict, judge
-from tuning.diagnosis.limits.detection import DetectionLimit, detection_limits, small_amounts
+from tuning.diagnosis.limits.detection import DetectionLimit, allowed, detection_limits, small_amounts
 from tuning.diagnosis.limits.isolability import Rivalry, rivalries
 from tuning.diagnosis.selection.explain import MOST_EFFECTS, evidence_needed, explain, is_looked_for
 from tuning.diagnosis.selection.explanation import Explanation
@@ -210,11 +210,7 @@ def diagnose(
     progress("judging on held-out data", 1, 1)
     progress("finding what these logs would show", 0, 1)
     searched = bool(most_effects) and not hopeless
-    needed = _needed(fitter, found)
-    amounts = small_amounts(fitter, found.best, catalogue) if searched else []
-    sought = _sought(fitter, found, catalogue)
-    limits = detection_limits(fitter, found.best, sought, amounts, needed) if searched else []
-    alike = rivalries(fitter, found.best, amounts, limits)
+    limits, alike = _shown(fitter, found, catalogue) if searched else ([], [])
     left = dependences(fitter, found.best, at) if searched and _is_lacking(fitter, found, verdict) else None
     progress("finding what these logs would show", 1, 1)
     again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.told else None
@@ -252,6 +248,18 @@ def _located(logged: Logged, missing: _MissingForce, lead: float | None, others:
 def _is_lacking(fitter: Fitter, found: Explanation, verdict: Verdict) -> bool:
     """Whether something is left, and nothing that was found is believed."""
     return verdict.verdict == "unknown" and not is_complete(fitter, found.best)
+
+
+def _shown(
+    fitter: Fitter, found: Explanation, catalogue: Sequence[Candidate]
+) -> tuple[list[DetectionLimit], list[Rivalry]]:
+    """What the logs would have shown of each effect that was not found, and what of it not told from another."""
+    fitted = allowed(fitter, found.best)
+    if fitted is None:
+        return [], []
+    amounts = small_amounts(fitter, fitted, catalogue)
+    limits = detection_limits(fitter, fitted, _sought(fitter, found, catalogue), amounts, _needed(fitter, found))
+    return limits, rivalries(fitter, fitted, amounts, limits)
 
 
 def _sought(fitter: Fitter, found: Explanation, catalogue: Sequence[Candidate]) -> Sequence[Candidate]:

@@ -82,13 +82,8 @@ class DetectionLimit(NamedTuple):
 
 
 def small_amounts(fitter: Fitter, fitted: Fitted, catalogue: Sequence[Candidate]) -> list[ByAmount]:
-    """Answers to each effect that is there by degrees and that a fit has not, in the filter that allows it what counts
-    as nothing missing; none of a fit whose effect is stepped within the filter, where each would take one of its own.
-    """
-    fitted, logs = allowed(fitter, fitted), fitted.model.logged.logs
-    if fitted.model.coupled or not np.all(np.isfinite(fitted.hessian)):
-        return []
-    found = []
+    """Answers to each effect that is there by degrees and that a fit has not; the fit is that of `allowed`."""
+    logs, found = fitted.model.logged.logs, []
     for candidate in others(fitted, catalogue):
         if any(one.amplitude for one in candidate.parameters):
             points = [usual_values(candidate, logs), *unusual_values(candidate, logs)]
@@ -96,21 +91,22 @@ def small_amounts(fitter: Fitter, fitted: Fitted, catalogue: Sequence[Candidate]
     return found
 
 
-def allowed(fitter: Fitter, fitted: Fitted) -> Fitted:
-    """The fit in a filter that allows every model the force which counts as nothing missing."""
-    return fitter.under(fitted, np.maximum(fitted.process_noise, relevant_forces(fitter, fitted)))
+def allowed(fitter: Fitter, fitted: Fitted) -> Fitted | None:
+    """The fit in a filter that allows every model the force which counts as nothing missing; None of a fit whose effect
+    is stepped within the filter, where each number would take a filter of its own, and where no filter follows.
+    """
+    if fitted.model.coupled:
+        return None
+    found = fitter.under(fitted, np.maximum(fitted.process_noise, relevant_forces(fitter, fitted)))
+    return found if np.all(np.isfinite(found.hessian)) else None
 
 
 def detection_limits(
     fitter: Fitter, fitted: Fitted, catalogue: Sequence[Candidate], amounts: Sequence[ByAmount], needed: float
 ) -> list[DetectionLimit]:
-    """Of each effect that a fit has not; `needed` is the evidence that one more must bring.
-
-    None of a fit whose effect is stepped within the filter: there each number would take a filter of its own.
+    """Of each effect that a fit has not; `needed` is the evidence that one more must bring. The fit is that of
+    `allowed`.
     """
-    fitted = allowed(fitter, fitted)
-    if fitted.model.coupled or not np.all(np.isfinite(fitted.hessian)):
-        return []
     by_amount = {one.candidate.kind: one for one in amounts}
     limits: dict[tuple[str, str], DetectionLimit] = {}
     for candidate in others(fitted, catalogue):

@@ -25,7 +25,6 @@ from tuning.diagnosis.limits.detection import (
     DetectionLimit,
     Group,
     Products,
-    allowed,
     amplitude_groups,
     deviations,
     explained,
@@ -62,11 +61,10 @@ def rivalries(
 ) -> list[Rivalry]:
     """Of each effect that would be seen, by its limit, and that another would explain as well up to a larger size.
 
-    `amounts` are `detection.small_amounts` of the fit.
+    `amounts` are `detection.small_amounts` of the fit, which is that of `detection.allowed`.
     """
     if not amounts:
         return []
-    fitted = allowed(fitter, fitted)
     every = [one for effect in amounts for one in effect.answers]
     ends = np.cumsum([len(one.labels) for one in every])
     slices = [slice(int(end) - len(one.labels), int(end)) for one, end in zip(every, ends, strict=True)]

@@ -9,7 +9,14 @@ from tests.support.perturbed_machine import catalogue, recalibrated_of
 from tuning.diagnosis.fits.goodness_of_fit import LACKING
 from tuning.diagnosis.judgement.verdict import COLDEST, DECLARED, SOFT
 from tuning.diagnosis.limits import isolability
-from tuning.diagnosis.limits.detection import Answers, ByAmount, DetectionLimit, detection_limits, small_amounts
+from tuning.diagnosis.limits.detection import (
+    Answers,
+    ByAmount,
+    DetectionLimit,
+    allowed,
+    detection_limits,
+    small_amounts,
+)
 from tuning.diagnosis.limits.isolability import Rivalry, _Columns, _isolable_size, _share
 from tuning.diagnosis.limits.limit_words import rivalry_says
 
@@ -89,7 +96,6 @@ def test_two_that_do_the_same_are_never_told_apart(monkeypatch):
         )
         for name, scale in (("tilt", 10.0), ("counterbalance", 10.0), ("unseen", 1e-3))
     ]  # fmt: skip
-    monkeypatch.setattr(isolability, "allowed", lambda _, fitted: fitted)
     monkeypatch.setattr(
         isolability, "limit_of",
         lambda _, candidate, name, size: DetectionLimit(candidate.name, name, "N", size, False),
@@ -107,6 +113,7 @@ def test_two_that_do_the_same_are_never_told_apart(monkeypatch):
 @pytest.mark.long
 def test_logs_of_a_motion_that_tells_everything_leave_no_rivals():
     fitter, base = recalibrated_of()
+    base = allowed(fitter, base)
     amounts = small_amounts(fitter, base, catalogue(fitter, base))
     assert {one.candidate.name for one in amounts} > {"constant_force", "cogging", "force_gain"}
     limits = detection_limits(fitter, base, catalogue(fitter, base), amounts, LACKING)
