@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from diffdrive.effects import stages
 from diffdrive.effects.base import Effect, TableEffect
-from diffdrive.effects.transmission import Sensitivity
+from diffdrive.effects.two_mass import Sensitivity
 from diffdrive.model import plant
 from diffdrive.model.friction import coulomb
 from diffdrive.model.parameters import Drive, Sampling

@@ -10,7 +10,8 @@ from jaxtyping import PyTree
 from diffdrive.effects import stages
 from diffdrive.effects.base import Acts, Seen
 from diffdrive.effects.stages import Effects
-from diffdrive.effects.transmission import Sensitivity, Transmission
+from diffdrive.effects.transmission import Transmission
+from diffdrive.effects.two_mass import Sensitivity
 from diffdrive.model import plant
 from diffdrive.model.parameters import Drive
 from diffdrive.numerics.arrays import Scalar

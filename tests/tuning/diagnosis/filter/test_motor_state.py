@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from diffdrive.effects.base import Seen
-from diffdrive.effects.transmission import Backlash, Compliance, MotorState
+from diffdrive.effects.transmission import Backlash, Compliance
+from diffdrive.effects.two_mass import MotorState
 from diffdrive.model.friction import coulomb
 from diffdrive.numerics.oscillator import Oscillator
 from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of
