@@ -12,6 +12,7 @@ from jaxtyping import Float
 Costs = Callable[[Float[np.ndarray, "s k"]], Float[np.ndarray, " s"]]
 
 WORST = 1e30  # the cost of what is not finite: cma ranks no infinity
+PACE = 10  # generations, by which it is told how fast the cost falls
 
 
 class Minimum(NamedTuple):
@@ -30,13 +31,16 @@ def minimum(
     population: int,
     simulations: int,
     tolerance: float,
+    target: float = np.inf,
     seed: int = 0,
 ) -> Minimum:
     """Minimise `costs`, which takes points [s, k], over the unit cube.
 
     From `start`, `population` points at a time, at first `spread` apart; until the generations of late differ by less
-    than `tolerance`, or after `simulations`, the generation that passes them included. A cost that is not finite is the
-    worst. The same seed gives the same answer.
+    than `tolerance`, or after `simulations`, the generation that passes them included; or where the cost is above
+    `target`, and would still be after those, if it went on to fall as fast as over the last `PACE` generations. A
+    search settles, and falls ever more slowly: then nothing below the target would have been found. A cost that is not
+    finite is the worst. The same seed gives the same answer.
     """
     import cma  # takes a second: only where it is used
 
@@ -52,14 +56,20 @@ def minimum(
         "seed": np.nan,  # it would seed numpy's global generator
     }
     best, cost, done = start, _finite(costs(start[None]))[0], 1
-    strategy = cma.CMAEvolutionStrategy(start, spread, options)
-    while done < simulations and not strategy.stop():
+    strategy, fallen = cma.CMAEvolutionStrategy(start, spread, options), [cost]
+
+    def is_hopeless() -> bool:
+        pace = (fallen[-1 - PACE] - cost) / PACE if len(fallen) > PACE else np.inf
+        return cost - target > pace * (simulations - done) / population
+
+    while done < simulations and not strategy.stop() and not is_hopeless():
         points = np.array(strategy.ask())
         found = _finite(costs(points))
         strategy.tell(list(points), list(found))
         done += len(points)
         if found.min() < cost:
             best, cost = points[int(np.argmin(found))], found.min()
+        fallen.append(cost)
     return Minimum(best, float(cost), done)
 
 

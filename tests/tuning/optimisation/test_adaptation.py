@@ -46,6 +46,21 @@ def test_it_ends_with_the_generation_that_passes_the_budget_and_where_nothing_di
     assert early.cost < 10.0
 
 
+def test_it_ends_where_no_target_is_reached_at_its_pace_and_otherwise_changes_nothing():
+    """Of a bowl whose bottom is at 1: 0.9 is never reached, 1.1 is; what is found by then is the same."""
+
+    def bowl(shares):
+        return 1.0 + np.sum((shares - VALLEY) ** 2, axis=1)
+
+    usual = minimum(bowl, np.full(3, 0.5), 0.2, **USUAL)
+    reached = minimum(bowl, np.full(3, 0.5), 0.2, **USUAL, target=1.1)
+    np.testing.assert_array_equal(reached.share, usual.share)
+    assert reached.simulations == usual.simulations
+    hopeless = minimum(bowl, np.full(3, 0.5), 0.2, **USUAL, target=0.9)
+    assert hopeless.cost > 0.9
+    assert 10 * USUAL["population"] < hopeless.simulations < usual.simulations
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_what_is_not_finite_is_the_worst(bad):
     found = minimum(

@@ -188,17 +188,18 @@ def evolved(fitted: Fitted, model: Model, index: int, theta: Vector, seed: int |
         push = PUSH * level * (2.0 * shares[:, -2] - 1.0)
         return np.asarray(_deviances(drive, stretches, members, push, forces(shares), logged.noise, logged.sampling))
 
-    def searched(start: Float[np.ndarray, " k"], seed: int) -> Minimum:
+    def searched(start: Float[np.ndarray, " k"], seed: int, target: float) -> Minimum:
         apart = SAMPLE ** (-1.0 / len(start))  # of the points of a sample, from one to the next
         return minimum(
-            costs, start, 0.5 * apart, population=POPULATION, simulations=SIMULATIONS, tolerance=WORTH, seed=seed
-        )
+            costs, start, 0.5 * apart,
+            population=POPULATION, simulations=SIMULATIONS, tolerance=WORTH, target=target, seed=seed,
+        )  # fmt: skip
 
     if seed is not None:
-        share = searched(first, seed).share
+        share = searched(first, seed, np.inf).share
         return Evolved(values(share), forces(share))
     around = qmc.Sobol(2, seed=0).random(WITHOUT)
     without = float(np.nanmin(deviances(around, besides(WITHOUT)), initial=np.inf))
     sample = np.vstack([first, qmc.Sobol(len(first), seed=0).random(SAMPLE)])
-    found = searched(sample[int(np.argmin(np.nan_to_num(costs(sample), nan=np.inf)))], 0)
+    found = searched(sample[int(np.argmin(np.nan_to_num(costs(sample), nan=np.inf)))], 0, without)
     return Evolved(values(found.share), forces(found.share)) if found.cost < without else None
