@@ -22,11 +22,11 @@ from experiments.reports.report import Report
 from experiments.studies import laas
 from experiments.studies.emps import axis as emps
 from experiments.studies.emps.study import Records, identify_axis
+from experiments.studies.force_error import force_error
+from experiments.studies.registration import registered
 from tuning.diagnosis.as_json import cause
 from tuning.diagnosis.cause_words import numbers
 from tuning.diagnosis.diagnose import Diagnosis, diagnose
-from tuning.diagnosis.gap.inverse import force_error
-from tuning.diagnosis.registration import registered
 from tuning.diagnosis.workflow import augmented_drive
 from tuning.identification.inverse_dynamics import DYNAMICS
 from tuning.store.folder import FolderStore
