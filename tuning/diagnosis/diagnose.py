@@ -233,7 +233,7 @@ class _MissingForce(NamedTuple):
 
 def _missing_force(fitter: Fitter, base: Fitted) -> _MissingForce:
     trusting = reference_process_noise(fitter, base)
-    gap = force_gap(fitter, base, base.model, base.theta, trusting)
+    gap = force_gap(fitter, base, trusting)
     noise = force_noise(fitter, uncoupled(fitter, base), trusting)
     return _MissingForce(gap, noise, float(fitter.logged.command_std))
 

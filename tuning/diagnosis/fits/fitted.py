@@ -102,3 +102,22 @@ def innovation_jvp(
         more = jnp.einsum("lnrc,lncm->lnrm", step_jacobians.signals, acts)
         forcing, off = (forcing + more).at[:, :, 0].add(signals.shift), signals.scale
     return innovations_of_forcings(filtered, step_jacobians, forcing, off, period) * counts[..., None]
+
+
+def residual_jvp(
+    fitted: Fitted, signals: EffectSignals, machine: Float[Array, "p k"] | None = None
+) -> Float[np.ndarray, "m k"]:
+    """Answers of a fit's residuals to changes of what acts ([lanes, n, k] each) and of the machine's numbers; zero
+    where the filter was lost.
+    """
+    lanes, period = fitted.model.logged.lanes, fitted.model.logged.sampling.period
+    if machine is None:
+        machine = jnp.zeros((fitted.step_jacobians.machine.shape[-1], signals.force.shape[-1]))
+    changes = innovation_jvp(fitted.filtered, fitted.step_jacobians, machine, signals, lanes.counts, period)
+    return of_residuals(fitted, np.asarray(changes))
+
+
+def of_residuals(fitted: Fitted, changes: Float[np.ndarray, "lanes n k"]) -> Float[np.ndarray, "m k"]:
+    """Changes of the innovations over their scatter as changes of the residuals; zero where the filter was lost."""
+    found = changes.reshape(fitted.residual.size, -1) / np.sqrt(float(fitted.filtered.noise_scale_sq))
+    return np.where(fitted.residual[:, None] != 0.0, found, 0.0)

@@ -2,7 +2,7 @@
 
 Beside a fit a function is free, a polygon over so many knots, whose corners have independent normal priors. Their scale
 is not chosen: it is integrated over a grid that reaches from next to nothing to the friction itself. To first order
-(`innovation_jvp`) the evidence and the function itself follow at once. What no effect of the catalogue explains is
+(`residual_jvp`) the evidence and the function itself follow at once. What no effect of the catalogue explains is
 described by the likeliest of these functions: a friction that changes with time, say, by so many newtons.
 """
 
@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 
 from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.fits.curvature import log_volume, solved
-from tuning.diagnosis.fits.fitted import Fitted, innovation_jvp
+from tuning.diagnosis.fits.fitted import Fitted, residual_jvp
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import WORTH
 from tuning.diagnosis.fits.reduced import reduced
@@ -131,17 +131,10 @@ FIELDS = {"force": "force", "friction": "coulomb", "scale": "scale"}
 
 def corner_answers(fitted: Fitted, family: Family) -> Float[np.ndarray, "m c"]:
     """Derivatives of the residuals by each corner."""
-    logged, acts = fitted.model.logged, jnp.asarray(family.unit * family.basis)
+    acts = jnp.asarray(family.unit * family.basis)
     still = jnp.zeros_like(acts)
     bend = EffectSignals(*(still for _ in range(7)))._replace(**{FIELDS[family.kind]: acts})
-    columns = jnp.zeros((fitted.step_jacobians.machine.shape[-1], acts.shape[-1]))
-    found = np.asarray(
-        innovation_jvp(
-            fitted.filtered, fitted.step_jacobians, columns, bend, logged.lanes.counts, logged.sampling.period
-        )
-    )
-    found = found.reshape(fitted.residual.size, -1) / np.sqrt(float(fitted.filtered.noise_scale_sq))
-    return np.where(fitted.residual[:, None] != 0.0, found, 0.0)
+    return residual_jvp(fitted, bend)
 
 
 def _judged(fitted: Fitted, family: Family, abscissa: Signal) -> Dependence:

@@ -26,11 +26,11 @@ from diffdrive.numerics.arrays import as_arrays
 from tuning.diagnosis.filter.derivatives import StepJacobians, innovations_of_forcings
 from tuning.diagnosis.filter.effect_signals import Trajectory
 from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME, LOST, EkfResult, force_per_innovation
-from tuning.diagnosis.fits.fitted import Fitted, compiled_step_jacobians
+from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import BLIND
 from tuning.diagnosis.fits.reference_noise import share_lost
-from tuning.diagnosis.hypotheses.model import Model, Vector, counted_in, delay_of
+from tuning.diagnosis.hypotheses.model import counted_in, delay_of
 from tuning.identification.replay import ReplayInputs, initial_loop_state, replay_inputs
 
 TRUSTING = 0.1  # of the likeliest process force
@@ -64,23 +64,23 @@ class ForceGap(NamedTuple):
         """Root mean square (N)."""
         return float(np.sqrt(max(np.sum(self.force**2) / max(np.sum(self.counts), 1.0), NONE)))
 
-    def interval(self, rate: float, seed: int = 0) -> tuple[float, float]:
+    def interval(self, rate: float) -> tuple[float, float]:
         """95 % interval of `rms`, from whole blocks of the logs drawn anew."""
-        low, high = np.sqrt(np.percentile(self.drawn(rate, seed), [2.5, 97.5]))
+        low, high = np.sqrt(np.percentile(self.drawn(rate), [2.5, 97.5]))
         return float(low), float(high)
 
     def where(self, counts: Float[np.ndarray, "lanes n"]) -> "ForceGap":
         """The same, judged by these samples."""
         return self._replace(force=self.force * counts, counts=counts)
 
-    def drawn(self, rate: float, seed: int = 0) -> Float[np.ndarray, " draws"]:
+    def drawn(self, rate: float) -> Float[np.ndarray, " draws"]:
         """Mean squares (N^2) of logs made of blocks drawn anew; the same blocks for every model of the same logs."""
         length = max(1, round(BLOCK * rate))
         edges = np.arange(0, self.force.shape[1], length)
         squares = np.add.reduceat(self.force**2, edges, axis=1).ravel()
         counts = np.add.reduceat(self.counts, edges, axis=1).ravel()
         squares, counts = squares[counts > 0], counts[counts > 0]
-        picks = np.random.default_rng(seed).integers(0, len(counts), (DRAWS, len(counts)))
+        picks = np.random.default_rng(0).integers(0, len(counts), (DRAWS, len(counts)))
         return np.maximum(squares[picks].sum(axis=1) / counts[picks].sum(axis=1), NONE)
 
 
@@ -91,22 +91,23 @@ def sliding(velocity: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.nda
     return 1.0 - scipy.ndimage.maximum_filter1d(slow, width, axis=1)
 
 
-def _counting(every: Float[np.ndarray, "lanes n"], filtered: EkfResult, rate: float) -> Float[np.ndarray, "lanes n"]:
-    """Ones where the force counts: where the table slides, or wherever it was measured if it hardly ever does."""
-    sliding_there = every * sliding(np.asarray(filtered.trajectory.velocity), rate)
-    return sliding_there if sliding_there.sum() > SLID * every.sum() else every
+def sliding_samples(
+    every: Float[np.ndarray, "lanes n"], filtered: EkfResult, rate: float
+) -> Float[np.ndarray, "lanes n"]:
+    """Of the samples `every` those at which the table slides; all of them, if it hardly ever does."""
+    there = every * sliding(np.asarray(filtered.trajectory.velocity), rate)
+    return there if there.sum() > SLID * every.sum() else every
 
 
-def force_gap(
-    fitter: Fitter, fitted: Fitted, model: Model, theta: Vector, process_noise: Float[np.ndarray, " 2"]
-) -> ForceGap:
-    """The force that a model lacks for a filter with these process forces (`reference_process_noise`), its effects
-    stepped along the trajectory of `fitted`; the sudden one too, where it may invent more of that than it has to.
+def force_gap(fitter: Fitter, fitted: Fitted, process_noise: Float[np.ndarray, " 2"]) -> ForceGap:
+    """The force that a model lacks for a filter with these process forces (`reference_process_noise`); the sudden one
+    too, where it may invent more of that than it has to.
     """
+    model, theta = fitted.model, fitted.theta
     filtered = fitter.at(model, theta, process_noise, fitted.filtered.trajectory).filtered
     rate = fitter.logged.sampling.rate
     every = np.asarray(fitter.logged.lanes.counts)
-    counts = _counting(every, filtered, rate)
+    counts = sliding_samples(every, filtered, rate)
     trusting = fitter.at(
         model, theta, np.maximum(fitted.process_noise * TRUSTING, fitter.floor), fitted.filtered.trajectory
     ).filtered
@@ -180,14 +181,13 @@ def loop_gap(
     counts: list[Float[np.ndarray, "lanes n"]],
     noise: float,
     sampling: Sampling,
-    seed: int = 0,
 ) -> LoopGap:
     """Each log simulated by its drive, its sensor's noise in the loop; `noise` (m) is quantisation and all.
 
     `counts` says which samples of each log to judge by, padded or cut to the log's own.
     """
     off: list[list[np.ndarray]] = [[], [], [], []]
-    keys = jax.random.split(jax.random.key(seed), SEEDS)
+    keys = jax.random.split(jax.random.key(0), SEEDS)
     for drive, log, judged in zip(drives, logs, counts, strict=True):
         quantised = 0.0 if drive.sensor.resolution is None else float(drive.sensor.resolution) / np.sqrt(12)
         white = float(np.sqrt(max(noise**2 - quantised**2, (DITHER * quantised) ** 2)))
@@ -214,7 +214,7 @@ def loop_gap(
 
 
 @eqx.filter_jit
-def _told(
+def _force_of_noise(
     filtered: EkfResult,
     step_jacobians: StepJacobians,
     off: Float[Array, "lanes n m"],
@@ -245,11 +245,11 @@ def force_noise(
     """The force (N) that a model without a gap would seem to lack, from the measuring noise."""
     logged = fitter.logged
     point = fitter.at(fitted.model, fitted.theta, process_noise, fitted.filtered.trajectory)
-    step_jacobians = compiled_step_jacobians(point.drive, point.signals, point.filtered, logged.lanes, logged.sampling)
+    step_jacobians = fitter.slopes(point)
     noise = float(logged.noise) * np.sqrt(float(fitted.filtered.noise_scale_sq))
     off = noise * np.random.default_rng(0).standard_normal((*logged.lanes.position.shape, NOISES))
     sudden = jnp.asarray(_per_sudden(fitter, fitted, point.filtered, process_noise))[..., None]
-    return np.asarray(_told(point.filtered, step_jacobians, jnp.asarray(off), sudden, logged.sampling.period))
+    return np.asarray(_force_of_noise(point.filtered, step_jacobians, jnp.asarray(off), sudden, logged.sampling.period))
 
 
 def uncoupled(fitter: Fitter, base: Fitted) -> Fitted:

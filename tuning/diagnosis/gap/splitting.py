@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
-from tuning.diagnosis.gap.gap import SLID, sliding
+from tuning.diagnosis.gap.gap import SLID, sliding_samples
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.model import Model
 
@@ -44,9 +44,7 @@ def split(fitter: Fitter, best: Fitted) -> Split:
     """
     logged = fitter.logged
     counts = np.asarray(logged.lanes.counts)
-    moves = counts * sliding(np.asarray(best.filtered.trajectory.velocity), logged.sampling.rate)
-    if moves.sum() <= SLID * counts.sum():
-        moves = counts
+    moves = sliding_samples(counts, best.filtered, logged.sampling.rate)
     owner = np.array(logged.owner)
     travelled = _travelled(moves, owner)
     if logged.logs == 1:

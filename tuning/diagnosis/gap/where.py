@@ -61,7 +61,6 @@ class Motion(NamedTuple):
     position: Float[np.ndarray, "lanes n"]  # m
     velocity: Float[np.ndarray, "lanes n"]  # m/s
     acceleration: Float[np.ndarray, "lanes n"]  # m/s^2
-    counts: Float[np.ndarray, "lanes n"]
 
 
 def motion_of(gap: ForceGap, rate: float) -> Motion:
@@ -69,7 +68,7 @@ def motion_of(gap: ForceGap, rate: float) -> Motion:
     width = max(3, round(0.01 * rate))
     velocity = scipy.ndimage.uniform_filter1d(np.asarray(gap.trajectory.velocity), width, axis=1)
     acceleration = scipy.ndimage.uniform_filter1d(np.gradient(velocity, axis=1) * rate, width, axis=1)
-    return Motion(np.asarray(gap.trajectory.position), velocity, acceleration, gap.counts)
+    return Motion(np.asarray(gap.trajectory.position), velocity, acceleration)
 
 
 def phases(motion: Motion, rate: float) -> dict[str, Labels]:
@@ -124,7 +123,6 @@ def _shares(
     every: Float[np.ndarray, "lanes n"],
     asked: list[_Asked],
     rate: float,
-    seed: int,
     within: Labels | bool = True,
     alike: str = "in {} of the time",
 ) -> list[Region]:
@@ -144,7 +142,7 @@ def _shares(
     inside = np.array([np.add.reduceat(one.inside[counted].astype(float), starts) / lengths for one in asked])
     observed, as_well = inside @ cells, np.zeros(len(asked))
     piece = np.arange(len(cells)) // max(1, round(PIECE / CELL))
-    room = np.random.default_rng(seed)
+    room = np.random.default_rng(0)
     for laid in np.diff(np.r_[0 : LAID : max(1, TOGETHER // len(cells)), LAID]):
         order = np.argsort(room.random((laid, piece[-1] + 1))[:, piece], axis=1, kind="stable")
         turned = (order + room.integers(len(cells), size=(laid, 1))) % len(cells)
@@ -167,7 +165,6 @@ def localise(
     lanes: Lanes,
     owner: tuple[int, ...],
     rate: float,
-    seed: int = 0,
     *,
     starts: ArrayLike = 0.0,
     noise: Float[np.ndarray, "lanes n draws"] | None = None,
@@ -213,8 +210,8 @@ def localise(
         asked += _bands("time", time, mine, every, TIMES, 1.0, "s", named)
     # held against motion alone: of a table that rests much, every direction and every speed would have more than chance
     alike = "where {} would, were it alike in all motion"
-    moving = _shares(gap, every, moved, rate, seed, within=speed > SLOWEST, alike=alike)
-    regions = [*_shares(gap, every, asked, rate, seed), *moving]
+    moving = _shares(gap, every, moved, rate, within=speed > SLOWEST, alike=alike)
+    regions = [*_shares(gap, every, asked, rate), *moving]
     if not gap.told:  # a lost filter's force has a spectrum, too
         return [*ranked(regions), *ranked(others)]
     bands = _frequencies(gap, rate, noise)

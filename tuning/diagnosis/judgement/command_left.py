@@ -19,7 +19,8 @@ from diffdrive.model.actuator import saturate
 from diffdrive.model.current_loop import mean_forces
 from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.fits.curvature import solved
-from tuning.diagnosis.fits.fitted import Fitted, innovation_jvp
+from tuning.diagnosis.fits.fitted import Fitted, residual_jvp
+from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.gap.gap import sliding
 from tuning.diagnosis.hypotheses.model import delay_of
 from tuning.diagnosis.judgement.verdict import Verdict
@@ -47,13 +48,9 @@ def follows_command(fitted: Fitted) -> float:
     logged, velocity = fitted.model.logged, np.asarray(fitted.filtered.trajectory.velocity)
     quick = np.abs(velocity) * logged.sampling.period >= QUICK * float(logged.noise)
     telling = (quick & (sliding(velocity, logged.sampling.rate) > 0.0)).reshape(-1, 1)
-    answers = np.asarray(_answers(fitted)).reshape(fitted.residual.size, -1)
-    answers = np.where(telling & (fitted.residual[:, None] != 0.0), answers, 0.0)
-    left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.theta)
-    cross = fitted.jacobian.T @ answers
-    making_way = solved(fitted.hessian, cross)
-    bent = answers.T @ answers - cross.T @ making_way + np.eye(TAPS) / SHARE**2
-    amounts = -solved(bent, answers.T @ fitted.residual - cross.T @ left)
+    answers = np.where(telling, _answers(fitted), 0.0)
+    curvature, slope, left, making_way = reduced(fitted, answers)
+    amounts = -solved(curvature + np.eye(TAPS) / SHARE**2, slope)
     residual = fitted.residual - fitted.jacobian @ left
     added = answers @ amounts - fitted.jacobian @ (making_way @ amounts)
     gained = (-added * (2.0 * residual + added)).reshape(velocity.shape)
@@ -81,17 +78,11 @@ def downgraded_by_command(verdict: Verdict, found: Explanation) -> Verdict:
     )
 
 
-def _answers(fitted: Fitted) -> Float[Array, "lanes n taps"]:
+def _answers(fitted: Fitted) -> Float[np.ndarray, "m taps"]:
     """Of the residuals, to each of the last commands added to the force."""
-    logged = fitted.model.logged
     force = _last_commands(fitted)
     none = jnp.zeros_like(force)
-    still = jnp.zeros((fitted.step_jacobians.machine.shape[-1], TAPS))
-    pushed = EffectSignals(force, none, none, none, none, none, none)
-    found = innovation_jvp(
-        fitted.filtered, fitted.step_jacobians, still, pushed, logged.lanes.counts, logged.sampling.period
-    )
-    return found / jnp.sqrt(fitted.filtered.noise_scale_sq)
+    return residual_jvp(fitted, EffectSignals(force, none, none, none, none, none, none))
 
 
 def _last_commands(fitted: Fitted) -> Float[Array, "lanes n taps"]:

@@ -53,7 +53,7 @@ def known_floor(comparisons: list[ModelComparison], comparison: ModelComparison)
     return comparison.floor if filtered.force.told and np.isfinite(comparison.floor) else None
 
 
-def _counting(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
+def _weighted(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
     lanes = fitter.logged.lanes._replace(counts=np.asarray(counts))  # type: ignore[arg-type]  # jit takes numpy's too
     twist = fitter.twist and fitter.twist._replace(counts=fitter.twist.counts * (np.asarray(counts) > 0))
     return Fitter(fitter.logged._replace(lanes=lanes), twist, fitter.store)
@@ -81,11 +81,11 @@ def _told_by(fitter: Fitter, one: Fitted, process_noise: Forces) -> tuple[ForceG
     A worn screw needs a force of hundreds of newtons invented where no gap is known; in a filter that may invent so
     much, nothing keeps the motor in its gap, and what the screw explains drowns in the noise.
     """
-    gap = force_gap(fitter, one, one.model, one.theta, process_noise)
+    gap = force_gap(fitter, one, process_noise)
     own = least_following(fitter, one) if one.model.screw_found or not gap.told else None
     if own is None or (gap.told and own[0] >= process_noise[0]):
         return gap, process_noise
-    return force_gap(fitter, one, one.model, one.theta, own), own
+    return force_gap(fitter, one, own), own
 
 
 def compare_models(
@@ -95,7 +95,7 @@ def compare_models(
     log that is judged by has a reference.
     """
     parts = split(fitter, found.best)
-    train, there, test = (_counting(fitter, each) for each in (parts.train, parts.register, parts.test))
+    train, there, test = (_weighted(fitter, each) for each in (parts.train, parts.register, parts.test))
     base = found.base
     chain = [("recalibrated", base)]
     for number in range(found.best.model.added):
@@ -124,7 +124,7 @@ def compare_models(
     fits = [("nominal", still), *zip([name for name, _ in chain], carried, strict=True)]
     rate = fitter.logged.sampling.rate
     process_noise = reference_process_noise(test, fits[1][1])
-    told_by = [(force_gap(test, one, one.model, one.theta, process_noise), process_noise) for _, one in fits[:2]]
+    told_by = [(force_gap(test, one, process_noise), process_noise) for _, one in fits[:2]]
     told_by += [_told_by(test, one, process_noise) for _, one in fits[2:]]
     gaps = [gap for gap, _ in told_by]
     common = np.prod([gap.counts for gap in gaps], axis=0)  # each has its own velocity, and slides where that says so

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from diffdrive.logs import Log
 from tuning.diagnosis.fits.fitted import Fitted
-from tuning.diagnosis.fits.fitting import SETTLING, Fitter
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.reference_noise import Forces
 from tuning.diagnosis.gap.gap import ForceGap, force_gap
 from tuning.diagnosis.hypotheses.model import Logged
@@ -53,7 +53,7 @@ def held_against(
     """
     fitter = Fitter(logged)
     base, best = (_followed(fitter, one) for one in (found.base, found.best))
-    gaps = [force_gap(fitter, one, one.model, one.theta, process_noise) for one in (base, best)]
+    gaps = [force_gap(fitter, one, process_noise) for one in (base, best)]
     before, after = (_by_stretch(gap, logs, logged.thinning) for gap in gaps)
     inside = np.array(
         [
@@ -84,8 +84,7 @@ def _followed(fitter: Fitter, fitted: Fitted) -> Fitted:
     """A fit on other stretches of its logs, under the process forces that are likeliest there; nothing is fitted."""
     model = dataclasses.replace(fitted.model, logged=fitter.logged)
     point = fitter.at(model, fitted.theta, fitted.process_noise, initial_trajectory(fitter.logged))
-    for _ in range(SETTLING):
-        point = fitter.at(model, point.theta, point.process_noise, point.next_trajectory)
+    point = fitter.settled(model, point.theta, point.process_noise, point.next_trajectory)
     point = fitter.with_process(point, model, np.vstack([point.process_noise, fitter.first]))
     return fitted._replace(
         model=model, process_noise=point.process_noise, cost=point.cost, filtered=point.filtered,

@@ -74,22 +74,22 @@ def begun_again(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> list[
     last fitted to those first; a few steps each.
     """
     return in_parallel(
-        lambda one: _to_nominal_first(fitter, before, one.model, one.theta[before.theta.size :], RACE),
+        lambda one: _to_nominal_first(fitter, before, one.model, one.theta[before.theta.size :]),
         [one for one in fits[:BESIDE] if max_prior_deviation(one) >= STRAINED],
     )
 
 
-def fit_to_nominal(fitter: Fitter, before: Fitted, found: Screened, most: int) -> Fitted:
-    """The effect alone first, the drive file taken at its word; then everything.
+def fit_to_nominal(fitter: Fitter, before: Fitted, found: Screened) -> Fitted:
+    """The effect alone first, the drive file taken at its word; then everything, a few steps.
 
     A nominal parameter that was moved far lies at the end of a long valley, along which a fit hardly moves.
     """
     model = joined(before.model, found.candidate, found.values)
-    return _to_nominal_first(fitter, before, model, begin(model, found.values), most)
+    return _to_nominal_first(fitter, before, model, begin(model, found.values))
 
 
-def _to_nominal_first(fitter: Fitter, before: Fitted, model: Model, own: Vector, most: int) -> Fitted:
+def _to_nominal_first(fitter: Fitter, before: Fitted, model: Model, own: Vector) -> Fitted:
     theta = np.r_[np.zeros(len(NAMES)), before.theta[len(NAMES) :], own]
     alone = np.r_[np.zeros(before.theta.size), np.ones(own.size)]
     first = fitter.minimise(model, theta, None, before.filtered.trajectory, 2 * ALONE, alone)[0]
-    return fitter.fit(model, first.theta, first.process_noise, first.filtered.trajectory, most)
+    return fitter.fit(model, first.theta, first.process_noise, first.filtered.trajectory, RACE)

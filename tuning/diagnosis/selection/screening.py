@@ -20,7 +20,7 @@ from diffdrive.effects.base import MachineEffect
 from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.fits.curvature import limited, log_volume, solved
 from tuning.diagnosis.fits.differences import by_acts
-from tuning.diagnosis.fits.fitted import Fitted, Point, innovation_jvp
+from tuning.diagnosis.fits.fitted import Fitted, Point, of_residuals, residual_jvp
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import STRAINED, max_prior_deviation
 from tuning.diagnosis.fits.reduced import reduced
@@ -91,32 +91,20 @@ def sensitivities(fitted: Fitted, candidate: Candidate, point: Values) -> tuple[
     order that is what it does beside them, but for what answers the motor's force beside another of the actuator's.
     """
     columns, bend, labels = _small_changes(fitted, candidate, point)
-    alone = _as_one_mass(fitted, columns, bend)
+    alone = residual_jvp(fitted, bend, columns)
     if not fitted.model.coupled:
         return alone, labels
     found = by_acts(
         fitted.model, fitted.theta, fitted.process_noise, fitted.filtered, fitted.drive, fitted.signals,
         np.asarray(columns), bend, alone,
     )  # fmt: skip
-    return _of_residuals(fitted, found), labels
+    return of_residuals(fitted, found), labels
 
 
 def _without_answers(fitted: Fitted, candidate: Candidate, point: Values) -> tuple[Float[np.ndarray, "m k"], Labels]:
     """`sensitivities` by the linear recursion alone, without the effects within the filter; zero where it runs away."""
     columns, bend, labels = _small_changes(fitted, candidate, point)
-    return np.nan_to_num(_as_one_mass(fitted, columns, bend), posinf=0.0, neginf=0.0), labels
-
-
-def _as_one_mass(fitted: Fitted, columns: Float[Array, "p m"], bend: EffectSignals) -> Float[np.ndarray, "n m"]:
-    lanes, period = fitted.model.logged.lanes, fitted.model.logged.sampling.period
-    return _of_residuals(
-        fitted, np.asarray(innovation_jvp(fitted.filtered, fitted.step_jacobians, columns, bend, lanes.counts, period))
-    )
-
-
-def _of_residuals(fitted: Fitted, changes: Float[np.ndarray, "lanes n m"]) -> Float[np.ndarray, "n m"]:
-    found = changes.reshape(fitted.residual.size, -1) / np.sqrt(float(fitted.filtered.noise_scale_sq))
-    return np.where(fitted.residual[:, None] != 0.0, found, 0.0)
+    return np.nan_to_num(residual_jvp(fitted, bend, columns), posinf=0.0, neginf=0.0), labels
 
 
 def _small_changes(
@@ -249,18 +237,16 @@ def _made_way(fitter: Fitter, fitted: Fitted, model: Model, at: tuple[Point, Val
     fitted: at its values there or, of a single parameter, at the amount that explains most.
     """
     point, values = at
-    d = np.where(fitted.residual != 0.0, fitter.residuals(point)[0] - fitted.residual, 0.0)
-    left = solved(fitted.hessian, fitted.jacobian.T @ fitted.residual + fitted.theta)
-    cross = fitted.jacobian.T @ d
-    making_way = solved(fitted.hessian, cross)
-    bent, slope = d @ d - cross @ making_way, d @ fitted.residual - cross @ left
+    secant = np.where(fitted.residual != 0.0, fitter.residuals(point)[0] - fitted.residual, 0.0)
+    found = reduced(fitted, secant[:, None])
+    bent, slope = float(found.curvature[0, 0]), float(found.slope[0])
     amounts = {1.0}
     if len(values) == 1 and bent > 0.0 and np.isfinite(slope):
         amounts.add(float(np.clip(-slope / bent, LITTLE, MUCH)))
     begun = []
     for amount in sorted(amounts):
         scaled = {name: amount * value for name, value in values.items()}
-        theta = np.r_[fitted.theta - limited(left + amount * making_way), begin(model, scaled)]
+        theta = np.r_[fitted.theta - limited(found.wanted + amount * found.way[:, 0]), begin(model, scaled)]
         begun.append(fitter.at(model, theta, fitted.process_noise, fitted.filtered.trajectory))
     best = min(begun, key=lambda one: one.cost)
     there, _ = fitter.minimise(model, best.theta, best.process_noise, best.trajectory, GLANCE)

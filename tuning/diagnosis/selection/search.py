@@ -5,7 +5,7 @@
 The candidates of one round do not depend on one another.
 """
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
@@ -181,8 +181,8 @@ def _ranked(before: Fitted, believed: Fitted | None, screened: list[Screened], f
     """The fits of a round by evidence; those that bring impossible parameters back go ahead of all that do not, unless
     one that needs no impossible parameters clearly explains more, or the best more than those parameters ever did.
     """
-    every = _best_of_each(fits, _name)
-    relieving = _best_of_each(_relieving(before, believed, fits), _name)
+    every = _best_of_each(fits)
+    relieving = _best_of_each(_relieving(before, believed, fits))
     if believed is None or not relieving or _clearly(every[0], relieving[0]):
         return Round(before, screened, every, len(every), 0.0)
     if relieving[0].evidence - every[0].evidence > max(believed.cost - before.cost, SETTLED):
@@ -216,11 +216,11 @@ def _name(fitted: Fitted) -> str:
     return fitted.model.members[-1].candidate.name
 
 
-def first_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable] = _name) -> list[Fitted]:
-    """The first fit of each kind, in their order; those of one effect are one kind, if nothing else is said."""
-    found: dict[Hashable, Fitted] = {}
+def first_of_each(fits: Iterable[Fitted]) -> list[Fitted]:
+    """The first fit of each effect, in their order."""
+    found: dict[str, Fitted] = {}
     for one in fits:
-        found.setdefault(kind(one), one)
+        found.setdefault(_name(one), one)
     return list(found.values())
 
 
@@ -260,10 +260,10 @@ def _race(
 
     near = STAYS * max((one.evidence for one in promising), default=0.0)
     first = [one for one in promising if one.evidence >= near]
-    begun = _best_of_each(fitted(first, 0), _name)
+    begun = _best_of_each(fitted(first, 0))
     if not (begun and _explains_all(before, begun[0], left)):
-        begun = _best_of_each([*begun, *fitted(apart_from(promising, first), len(first))], _name)
-    begun = _best_of_each([*begun, *begun_again(fitter, before, begun)], _name)
+        begun = _best_of_each([*begun, *fitted(apart_from(promising, first), len(first))])
+    begun = _best_of_each([*begun, *begun_again(fitter, before, begun)])
     gains = [before.evidence - one.evidence for one in begun]
     enough = STAYS * max(gains, default=0.0) - PROMISING
     ahead = [one for one, gain in zip(begun, gains, strict=True) if gain > enough][:FINISH]
@@ -306,11 +306,11 @@ def _race_to_nominal(
     """The promising about the drive file's own numbers fitted: those that bring the parameters back to the end."""
     promising = _about_nominal(believed, catalogue)
     begun = in_parallel(
-        lambda one: fit_to_nominal(fitter, before, one, RACE),
+        lambda one: fit_to_nominal(fitter, before, one),
         promising,
         lambda k: progress("fitting", k, 2 * len(promising)),
     )
-    begun = _best_of_each(begun, _name)
+    begun = _best_of_each(begun)
     return _ended(fitter, begun, _relieving(before, believed, begun)[:FINISH], len(promising), progress)
 
 
@@ -336,6 +336,6 @@ def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Scr
     return few + [one for one in apart_from(found, few) if one.candidate.relieves]
 
 
-def _best_of_each(fits: Iterable[Fitted], kind: Callable[[Fitted], Hashable]) -> list[Fitted]:
+def _best_of_each(fits: Iterable[Fitted]) -> list[Fitted]:
     """One fit of each kind, the best first."""
-    return first_of_each(possible(fits), kind)
+    return first_of_each(possible(fits))

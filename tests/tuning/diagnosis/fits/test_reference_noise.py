@@ -64,7 +64,7 @@ def test_behind_a_screw_a_filter_may_be_told_of_blows(monkeypatch, screw, wanted
 def test_a_model_that_is_lost_in_the_others_filter_is_told_by_one_of_its_own(monkeypatch, screw, lost, own, told_with):
     """In that of the recalibrated drive, of 200 N; where none follows it, it is told to be lost."""
 
-    def gap_of(fitter, one, model, theta, process_noise):
+    def gap_of(fitter, one, process_noise):
         return SimpleNamespace(told=process_noise[0] < 200.0 or not lost)
 
     monkeypatch.setattr(ladder, "force_gap", gap_of)

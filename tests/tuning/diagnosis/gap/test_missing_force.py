@@ -30,7 +30,7 @@ def shaken(size):
 @pytest.mark.long
 def test_a_sudden_force_that_the_filter_may_invent_counts_as_missing():
     fitter, fit, process_noise = shaken(SUDDEN)
-    gap = force_gap(fitter, fit, fit.model, fit.theta, process_noise)
+    gap = force_gap(fitter, fit, process_noise)
     assert gap.lost == 0.0
     # of a white force the filter sees what the noise of the scale leaves of it
     assert 0.5 * SUDDEN < gap.rms < 1.1 * SUDDEN
@@ -41,14 +41,14 @@ def test_a_sudden_force_that_the_filter_may_invent_counts_as_missing():
 def test_noise_alone_makes_no_more_of_it_than_the_floor_says():
     fitter, fit, _ = shaken(0.0)
     for process_noise in (np.array([2.0, fitter.least]), np.array([2.0, 2.0]), np.array([2.0, 50.0])):
-        gap = force_gap(fitter, fit, fit.model, fit.theta, process_noise)
+        gap = force_gap(fitter, fit, process_noise)
         assert gap.rms == pytest.approx(force_floor(fitter, fit, gap.counts, process_noise), rel=0.25)
 
 
 @pytest.mark.long
 def test_what_is_not_known_of_the_command_is_in_the_floor():
     fitter, fit, process_noise = shaken(0.0)
-    counts = force_gap(fitter, fit, fit.model, fit.theta, process_noise).counts
+    counts = force_gap(fitter, fit, process_noise).counts
     unsure = Fitter(fitter.logged._replace(command_std=3.0))
     known, told = (force_floor(one, fit, counts, process_noise) for one in (fitter, unsure))
     assert told**2 == pytest.approx(known**2 + 3.0**2)

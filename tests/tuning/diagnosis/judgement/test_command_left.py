@@ -70,18 +70,19 @@ def test_it_is_told_whatever_the_noise(name):
 def test_to_first_order_it_is_what_those_commands_explain(late):
     """Against the filter itself, run with the commands added to what acts on the table."""
     best = late[1].best
-    simulate_log, amounts = best.model.logged, np.full(TAPS, 1e-4) * np.array([1.0, -2.0, 1.0, 0.5, -0.5])
+    logged, amounts = best.model.logged, np.full(TAPS, 1e-4) * np.array([1.0, -2.0, 1.0, 0.5, -0.5])
     added = command_left._last_commands(best) @ amounts
-    lanes = simulate_log.lanes._replace(disturbance=simulate_log.lanes.disturbance + added)
+    lanes = logged.lanes._replace(disturbance=logged.lanes.disturbance + added)
     moved = (
-        Fitter(simulate_log._replace(lanes=lanes))
+        Fitter(logged._replace(lanes=lanes))
         .at(best.model, best.theta, best.process_noise, best.filtered.trajectory)
         .filtered
     )
     change = (np.asarray(moved.innovation) - np.asarray(best.filtered.innovation)) / np.asarray(
         best.filtered.innovation_std
     )
-    expected = np.asarray(command_left._answers(best)) @ amounts * np.sqrt(float(best.filtered.noise_scale_sq))
+    answers = command_left._answers(best).reshape(*change.shape, TAPS)
+    expected = answers @ amounts * np.sqrt(float(best.filtered.noise_scale_sq))
     assert np.linalg.norm(change - expected) < 0.05 * np.linalg.norm(expected)
 
 
@@ -90,7 +91,8 @@ def test_one_event_that_goes_wrong_is_no_answer_to_commands(late):
     """As much as a wrong actuator leaves all along, in one tenth of a second."""
     best = late[0].best
     rate = best.model.logged.sampling.rate
-    answers = np.asarray(command_left._answers(best)) @ np.array([1.0, -1.0, 0.0, 0.0, 0.0])
+    answers = command_left._answers(best) @ np.array([1.0, -1.0, 0.0, 0.0, 0.0])
+    answers = answers.reshape(best.filtered.trajectory.velocity.shape)
     quick = int(np.argmax(np.abs(np.asarray(best.filtered.trajectory.velocity[0]))))
     there = np.abs(np.arange(answers.shape[1]) - quick) < 0.05 * rate
     blow = np.where(there, answers, 0.0)
