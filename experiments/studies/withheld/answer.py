@@ -66,12 +66,15 @@ def _diagnose_batch(tasks: Sequence[DiagnosisTask]) -> None:
 
 
 def _batches(tasks: Sequence[DiagnosisTask]) -> list[list[DiagnosisTask]]:
-    """Tasks grouped by the length of their logs: they share compiled programs, and compiling is half of a diagnosis."""
+    """Tasks grouped by the length of their logs: they share compiled programs, and compiling is half of a diagnosis.
+
+    In the order of their first cases: what is answered when a study is broken off is a sample of all axes and rates.
+    """
     by_length: dict[int, list[DiagnosisTask]] = {}
     for task in tasks:
         by_length.setdefault(_padded_length(task[0]), []).append(task)
-    longest_first = sorted(by_length.items(), reverse=True)
-    return [group[k : k + BATCH] for _, group in longest_first for k in range(0, len(group), BATCH)]
+    groups = [group[k : k + BATCH] for group in by_length.values() for k in range(0, len(group), BATCH)]
+    return sorted(groups, key=lambda group: group[0][0].name)
 
 
 def _padded_length(case: Path) -> int:
