@@ -12,7 +12,8 @@ from jaxtyping import Float
 Costs = Callable[[Float[np.ndarray, "s k"]], Float[np.ndarray, " s"]]
 
 WORST = 1e30  # the cost of what is not finite: cma ranks no infinity
-PACE = 10  # generations, by which it is told how fast the cost falls
+PACE = 10  # generations, over which it is looked how fast the cost falls
+SETTLED = 0.25  # of the first spread, to which a search has drawn together: before, it may yet come upon a steep place
 
 
 class Minimum(NamedTuple):
@@ -37,10 +38,9 @@ def minimum(
     """Minimise `costs`, which takes points [s, k], over the unit cube.
 
     From `start`, `population` points at a time, at first `spread` apart; until the generations of late differ by less
-    than `tolerance`, or after `simulations`, the generation that passes them included; or where the cost is above
-    `target`, and would still be after those, if it went on to fall as fast as over the last `PACE` generations. A
-    search settles, and falls ever more slowly: then nothing below the target would have been found. A cost that is not
-    finite is the worst. The same seed gives the same answer.
+    than `tolerance`, or after `simulations`, the generation that passes them included. A search that has drawn together
+    ends, too, where the cost is above `target` and would still be after those, if it went on to fall as fast as over
+    the last `PACE` generations. A cost that is not finite is the worst. The same seed gives the same answer.
     """
     import cma  # takes a second: only where it is used
 
@@ -56,11 +56,13 @@ def minimum(
         "seed": np.nan,  # it would seed numpy's global generator
     }
     best, cost, done = start, _finite(costs(start[None]))[0], 1
-    strategy, fallen = cma.CMAEvolutionStrategy(start, spread, options), [cost]
+    strategy, best_costs = cma.CMAEvolutionStrategy(start, spread, options), [cost]
 
     def is_hopeless() -> bool:
-        pace = (fallen[-1 - PACE] - cost) / PACE if len(fallen) > PACE else np.inf
-        return cost - target > pace * (simulations - done) / population
+        if len(best_costs) <= PACE or np.max(strategy.result.stds) > SETTLED * spread:
+            return False
+        pace = (best_costs[-1 - PACE] - cost) / PACE
+        return bool(cost - target > pace * (simulations - done) / population)
 
     while done < simulations and not strategy.stop() and not is_hopeless():
         points = np.array(strategy.ask())
@@ -69,7 +71,7 @@ def minimum(
         done += len(points)
         if found.min() < cost:
             best, cost = points[int(np.argmin(found))], found.min()
-        fallen.append(cost)
+        best_costs.append(cost)
     return Minimum(best, float(cost), done)
 
 
