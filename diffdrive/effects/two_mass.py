@@ -100,29 +100,28 @@ class _TwoMass(NamedTuple):
 class _Contact(NamedTuple):
     """What a screw with a dead zone does over a substep."""
 
-    edge: Scalar  # m, where the dead zone holds the motor: at its edge, or anywhere within it
-    inside: Scalar  # whether that is within it
-    touching: Scalar
+    edge: Scalar  # m, the point of the dead zone that is nearest to the motor
+    touching: Scalar  # whether the screw pushes
 
 
 class _Transition(NamedTuple):
-    """The motor's answer over a substep to small changes of its state, of its push and of the dead zone's edge."""
+    """The motor's answer over a substep to small changes of its state and its push.
 
-    deflection: Scalar  # of the deflection's distance from the edge
+    The dead zone's edge has no part in it: in contact it stands still, and while the motor is free it does not act.
+    """
+
+    deflection: Scalar
     rate: Scalar  # s, of the rate
     push: Scalar  # s^2
     rate_by_deflection: Scalar  # 1/s
     rate_by_rate: Scalar
     rate_by_push: Scalar  # s
-    inside: Scalar | None  # whether the edge goes with the motor; None: there is no dead zone
 
-    def along(self, q: Oscillator, push: Scalar, h: float) -> Oscillator:
+    def along(self, q: Oscillator, push: Scalar) -> Oscillator:
         """Of the motor, for such changes."""
-        edge = 0.0 if self.inside is None else jnp.where(self.inside, _midpoint(q, h), 0.0)
-        off = q.deflection - edge
         return Oscillator(
-            edge + self.deflection * off + self.rate * q.rate + self.push * push,
-            self.rate_by_deflection * off + self.rate_by_rate * q.rate + self.rate_by_push * push,
+            self.deflection * q.deflection + self.rate * q.rate + self.push * push,
+            self.rate_by_deflection * q.deflection + self.rate_by_rate * q.rate + self.rate_by_push * push,
         )
 
 
@@ -143,7 +142,7 @@ class _TwoMassStep(NamedTuple):
     table_friction: Scalar  # share
     per_motor: Scalar  # 1/kg, of the motor's mass
     per_table: Scalar  # 1/kg, of the table's
-    per_table_share: Scalar
+    per_table_share: Scalar  # one over the table's share of the mass
     reduced_mass: Scalar  # kg
     external: Scalar  # N, on the table
     h: float  # s
@@ -168,7 +167,7 @@ class _TwoMassStep(NamedTuple):
         contact_force = push - (rate - q.rate) * (1.0 / self.h)
         # the sides of a gap push, they do not pull
         touching = (self.half_gap <= 0.0) | ((midpoint - edge) * contact_force > 0.0)
-        return _Contact(edge, jnp.abs(midpoint) < self.half_gap, touching)
+        return _Contact(edge, touching)
 
     def relative(self, q: Oscillator, push: Scalar, contact: _Contact | None) -> Oscillator:
         """The motor against the table a substep later."""
@@ -189,10 +188,10 @@ class _TwoMassStep(NamedTuple):
             -sine * one.frequency_squared, one.cosine - sine * one.decay_rate, sine,
         )  # fmt: skip
         if contact is None:
-            return _Transition(*touching, None)
+            return _Transition(*touching)
         free = (1.0, h, 0.5 * h**2, 0.0, 1.0, h)
         chosen = [jnp.where(contact.touching, a, b) for a, b in zip(touching, free, strict=True)]
-        return _Transition._make([*chosen, contact.inside])
+        return _Transition._make(chosen)
 
     def ahead(
         self,
@@ -249,7 +248,7 @@ class _TwoMassStep(NamedTuple):
             table, bristle = by_table.along(velocities[0], tangent.bristle)
             motor, motor_bristle = by_motor.along(velocities[1], tangent.motor.bristle)
             push = self.push(table, motor, 0.0, 0.0)
-            relative = transition.along(tangent.motor.relative, push, self.h)
+            relative = transition.along(tangent.motor.relative, push)
             return _with_bristles(self.ahead(tangent, (table, motor), push, relative, 0.0), bristle, motor_bristle)
 
         ahead = self.ahead(masses, (table, motor), push, relative, self.external)

@@ -94,6 +94,20 @@ def test_one_loop_answers_as_the_derivative_of_the_step_does(screw, at):
     np.testing.assert_allclose(found / largest, derivative / largest, rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.parametrize("at", [(0.0, 0.0, 0.0, 0.0), (0.02, 1.5e-6, 3e-7, -1e-4)])
+def test_without_a_gap_a_loose_screw_answers_as_an_elastic_one(at):
+    """At rest in its middle, too, where both sides touch."""
+    numbers = {name: value for name, value in PLAY.items() if name != "gap"}
+    velocity, bristle, deflection, rate = (jnp.asarray(value) for value in at)
+    motor = MotorState.at_rest()._replace(relative=Oscillator(deflection, rate))
+    loose, elastic = (
+        jnp.stack([jnp.stack([*one]) for one in answers])
+        for effect in (Backlash(gap=0.0, **numbers), Compliance(**numbers))
+        for answers in [effect.step_with_sensitivities(motor, seen(velocity, bristle), DRIVE.drive, 5e-4)[2]]
+    )
+    np.testing.assert_allclose(loose, elastic, rtol=1e-12)
+
+
 def test_where_no_screw_is_there_is_nothing_hidden():
     assert motor_state.screw_of(()) is None
     assert (
