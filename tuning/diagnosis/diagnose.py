@@ -210,7 +210,7 @@ def diagnose(
     progress("judging on held-out data", 1, 1)
     progress("finding what these logs would show", 0, 1)
     searched = bool(most_effects) and not hopeless
-    limits, alike = _shown(fitter, found, catalogue) if searched else ([], [])
+    limits, alike = _limits_and_rivalries(fitter, found, catalogue) if searched else ([], [])
     left = dependences(fitter, found.best, at) if searched and _is_lacking(fitter, found, verdict) else None
     progress("finding what these logs would show", 1, 1)
     again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.told else None
@@ -250,7 +250,7 @@ def _is_lacking(fitter: Fitter, found: Explanation, verdict: Verdict) -> bool:
     return verdict.verdict == "unknown" and not is_complete(fitter, found.best)
 
 
-def _shown(
+def _limits_and_rivalries(
     fitter: Fitter, found: Explanation, catalogue: Sequence[Candidate]
 ) -> tuple[list[DetectionLimit], list[Rivalry]]:
     """What the logs would have shown of each effect that was not found, and what of it not told from another."""

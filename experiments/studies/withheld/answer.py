@@ -68,7 +68,8 @@ def _diagnose_batch(tasks: Sequence[DiagnosisTask]) -> None:
 def _batches(tasks: Sequence[DiagnosisTask]) -> list[list[DiagnosisTask]]:
     """Tasks grouped by the length of their logs: they share compiled programs, and compiling is half of a diagnosis.
 
-    In the order of their first cases: what is answered when a study is broken off is a sample of all axes and rates.
+    In the order of their first cases: a study that is broken off has answered the lengths that were drawn first, of
+    whatever axis and rate.
     """
     by_length: dict[int, list[DiagnosisTask]] = {}
     for task in tasks:

@@ -337,5 +337,5 @@ def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Scr
 
 
 def _best_of_each(fits: Iterable[Fitted]) -> list[Fitted]:
-    """One fit of each kind, the best first."""
+    """One fit of each effect, the best first."""
     return first_of_each(possible(fits))

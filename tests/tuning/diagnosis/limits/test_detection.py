@@ -46,8 +46,6 @@ def limits(sound):
 
 def limits_of(fitter, fitted, several, needed=LACKING):
     fitted = allowed(fitter, fitted)
-    if fitted is None:
-        return []
     return detection_limits(fitter, fitted, several, small_amounts(fitter, fitted, several), needed)
 
 
@@ -222,3 +220,14 @@ def test_one_sentence_has_each_effect_once_and_what_would_not_show_apart():
     assert limits_say(both) == "These logs would show backlash (gap from 0.46 um); at no usual size applied_load"
     assert limits_say([hidden, hidden._replace(parameter="more", size=100.0, unit="N")]).endswith("(more from 100 N)")
     assert limits_say([]) == ""
+
+
+def test_no_limits_are_told_behind_a_screw_nor_where_no_filter_follows(sound):
+    fitter, base = sound
+    assert allowed(None, SimpleNamespace(model=SimpleNamespace(coupled=True))) is None
+
+    class Astray(type(fitter)):
+        def under(self, fitted, process_noise):
+            return fitted._replace(hessian=np.full_like(fitted.hessian, np.nan))
+
+    assert allowed(Astray(fitter.logged), base) is None
