@@ -60,17 +60,18 @@ def test_it_ends_where_no_target_is_reached_at_its_pace_and_otherwise_changes_no
     assert 10 * USUAL["population"] < hopeless.simulations < usual.simulations
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_search_goes_on_where_it_is_flat_for_long_and_steep_at_last(seed):
-    """Nothing is gained for a dozen generations, and what is below the target is found as without one."""
+@pytest.mark.parametrize("seed", range(3))
+def test_a_search_goes_on_while_it_is_on_its_way(seed):
+    """From a dip, down a slope that nothing on it is below, to a funnel: no gain for long, and the target at last."""
+    start = np.array([0.95, 0.1, 0.1])
 
     def funnel(shares):
-        apart = np.linalg.norm(shares - VALLEY, axis=1)
-        return np.where(apart < 0.05, 20.0 * apart, 1.0 + 0.01 * np.sin(40.0 * shares).sum(axis=1))
+        apart, dip = np.linalg.norm(shares - VALLEY, axis=1), np.all(shares == start, axis=1)
+        return np.where(apart < 0.1, 10.0 * apart, 1.0 + 0.3 * apart) - 0.9 * dip
 
-    start = np.array([0.4, 0.6, 0.5])
-    usual, aimed = (minimum(funnel, start, 0.1, **USUAL, target=target, seed=seed) for target in (np.inf, 0.5))
-    assert aimed.cost == usual.cost or usual.cost > 0.5
+    usual, aimed = (minimum(funnel, start, 0.01, **USUAL, target=target, seed=seed) for target in (np.inf, 0.2))
+    assert usual.cost < 0.2
+    np.testing.assert_array_equal(aimed.share, usual.share)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
