@@ -90,7 +90,7 @@ def test_tangents_under_a_ripple_are_the_derivatives(velocity):
 @pytest.mark.parametrize("velocity", [1e-7, -2e-5, 0.003, -0.2])
 @pytest.mark.parametrize("bristle", [3e-8, -4e-6])
 def test_slopes_of_friction_in_a_step_are_its_derivatives(velocity, bristle):
-    """In presliding, about breakaway, sliding, and turned back against a bent bristle."""
+    """In presliding, about breakaway, sliding, and turned back against a deflected bristle."""
     drive = as_arrays(DRIVE.drive)
     friction, damping = friction_under_load(drive.friction, jnp.asarray(300.0)), drive.plant.damping
 

@@ -239,10 +239,10 @@ def _made_way(fitter: Fitter, fitted: Fitted, model: Model, at: tuple[Point, Val
     point, values = at
     secant = np.where(fitted.residual != 0.0, fitter.residuals(point)[0] - fitted.residual, 0.0)
     found = reduced(fitted, secant[:, None])
-    bent, slope = float(found.curvature[0, 0]), float(found.slope[0])
+    curvature, slope = float(found.curvature[0, 0]), float(found.slope[0])
     amounts = {1.0}
-    if len(values) == 1 and bent > 0.0 and np.isfinite(slope):
-        amounts.add(float(np.clip(-slope / bent, LITTLE, MUCH)))
+    if len(values) == 1 and curvature > 0.0 and np.isfinite(slope):
+        amounts.add(float(np.clip(-slope / curvature, LITTLE, MUCH)))
     begun = []
     for amount in sorted(amounts):
         scaled = {name: amount * value for name, value in values.items()}

@@ -222,7 +222,7 @@ def test_one_sentence_has_each_effect_once_and_what_would_not_show_apart():
     assert limits_say([]) == ""
 
 
-def test_no_limits_are_told_behind_a_screw_nor_where_no_filter_follows(sound):
+def test_there_are_no_limits_behind_a_screw_nor_where_no_filter_follows(sound):
     fitter, base = sound
     assert allowed(None, SimpleNamespace(model=SimpleNamespace(coupled=True))) is None
 
