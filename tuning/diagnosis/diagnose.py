@@ -253,7 +253,7 @@ def _is_lacking(fitter: Fitter, found: Explanation, verdict: Verdict) -> bool:
 def _limits_and_rivalries(
     fitter: Fitter, found: Explanation, catalogue: Sequence[Candidate]
 ) -> tuple[list[DetectionLimit], list[Rivalry]]:
-    """From which size on the logs would have shown an effect that was not found, and excluded each other in its place."""
+    """From which size on the logs would have shown an effect that was not found, and excluded others in its place."""
     fitted = allowed(fitter, found.best)
     if fitted is None:
         return [], []
