@@ -11,7 +11,7 @@ from diffdrive.model.quantity import Directional
 from diffdrive.results import as_json as plain
 from diffdrive.support.spans import format_span
 from tuning.diagnosis.diagnose import Diagnosis
-from tuning.diagnosis.fits.goodness_of_fit import STRAINED, comparable_parameters, max_prior_deviation
+from tuning.diagnosis.fits.goodness_of_fit import comparable_parameters, max_prior_deviation
 from tuning.diagnosis.fits.intervals import deviations, parameters
 from tuning.diagnosis.gap.dependence_words import dependence_says, dependences_say
 from tuning.diagnosis.hypotheses.calibration import DELAY, FORCE, LOGARITHMS, NAMES
@@ -19,6 +19,7 @@ from tuning.diagnosis.hypotheses.model import Logged
 from tuning.diagnosis.judgement.held_out import HIDDEN, gap_reduction
 from tuning.diagnosis.judgement.ladder import ModelComparison, known_floor
 from tuning.diagnosis.judgement.verdict import Belief
+from tuning.diagnosis.levels import STRAINED
 from tuning.diagnosis.limits.limit_words import limit_says, limits_say, rivalry_says
 from tuning.diagnosis.next_experiment import Experiment
 from tuning.identification.estimates import NORMAL

@@ -27,9 +27,7 @@ from tuning.diagnosis.filter.second_encoder import twist_of
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
-    LACKING,
     SLIDING,
-    STRAINED,
     is_complete,
     is_plausible,
     largest_deviation_says,
@@ -61,6 +59,7 @@ from tuning.diagnosis.judgement.held_out import (
 from tuning.diagnosis.judgement.ladder import ModelComparison, compare_models, known_floor
 from tuning.diagnosis.judgement.rest import Rest
 from tuning.diagnosis.judgement.verdict import Verdict, judge
+from tuning.diagnosis.levels import LACKING, STRAINED
 from tuning.diagnosis.limits.detection import DetectionLimit, allowed, detection_limits, small_amounts
 from tuning.diagnosis.limits.isolability import Rivalry, rivalries
 from tuning.diagnosis.selection.explain import MOST_EFFECTS, evidence_needed, explain, is_looked_for

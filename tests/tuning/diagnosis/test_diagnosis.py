@@ -23,7 +23,6 @@ from experiments.studies.withheld.score import score
 from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sines
 from tuning.diagnosis.diagnose import _credible, _within, diagnose, logged_of
 from tuning.diagnosis.filter.effect_signals import Trajectory
-from tuning.diagnosis.fits.goodness_of_fit import STRAINED
 from tuning.diagnosis.gap.gap import ForceGap
 from tuning.diagnosis.gap.lines import lines_in_position, lines_in_time
 from tuning.diagnosis.gap.where import localise
@@ -31,6 +30,7 @@ from tuning.diagnosis.hypotheses.calibration import LOGARITHMS, NAMES, calibrate
 from tuning.diagnosis.hypotheses.excitation import excitation_deficits
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.judgement.verdict import Belief, Verdict
+from tuning.diagnosis.levels import STRAINED
 from tuning.diagnosis.next_experiment import next_experiment
 from tuning.diagnosis.selection.starting_points import _window
 from tuning.diagnosis.workflow import augmented_drive

@@ -12,18 +12,12 @@ from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import MOST, Fitter
 from tuning.diagnosis.fits.reference_noise import least_trusted, lost_samples, lost_share
 from tuning.diagnosis.hypotheses.calibration import DELAY, FORCE, NAMES
+from tuning.diagnosis.levels import IMPOSSIBLE, LACKING, STRAINED
 
-LACKING = 30.0  # of cost
-LEFT = 0.02  # of what was missing: what the details of a model of the right kind may leave
-COARSE = 0.05  # the same for effects whose details differ from machine to machine
 MOSTLY = 0.5  # of what is missing
 BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
 BLIND = 0.05  # of the samples: where the filter is lost at more of them, its cost counts nothing but blows
 FEW_LOST = 3  # samples, at which a filter may be lost without anything missing
-WORTH = 12.0  # in evidence, that an effect must bring
-STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
-IMPOSSIBLE = 6.0  # of the same: what no machine of this drive file has, and is explained before anything else
-SLIGHT = 0.04  # of what was gained before, that another effect must bring: less may be the first one's details
 RELEVANT = 3e-4  # of the friction
 UNTOLD = 14  # sudden forces that are tried where no row tells of them
 # what a table that slides tells: effects before sliding take over what the others mean

@@ -21,9 +21,9 @@ from tuning.diagnosis.fits.curvature import solved
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.priors import Parameter
+from tuning.diagnosis.levels import BLOCK
 from tuning.identification.estimates import NORMAL
 
-BLOCK = 0.25  # s, over which scores are summed: longer than what is left of structure lasts
 DETAILS = {  # of a number: standard deviation of what another machine of its kind would call the same
     Compliance: 0.1,
     Backlash: 0.1,

@@ -18,9 +18,9 @@ from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.fits.curvature import log_volume, solved
 from tuning.diagnosis.fits.fitted import Fitted, residual_jvp
 from tuning.diagnosis.fits.fitting import Fitter
-from tuning.diagnosis.fits.goodness_of_fit import WORTH
 from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.hypotheses.setting import Setting
+from tuning.diagnosis.levels import WORTH
 
 SCALES = np.geomspace(1e-4, 1.0, 9)  # of the unit of a function, the standard deviation of its corners
 PLACES, SPEEDS, TIMES, FORCES = 25, 9, 9, 13  # knots: few enough to be smooth, dense enough for a chip on the guide

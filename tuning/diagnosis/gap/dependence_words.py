@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from diffdrive.support.spans import rescaled
-from tuning.diagnosis.fits.goodness_of_fit import WORTH
 from tuning.diagnosis.gap.dependence import Dependence
+from tuning.diagnosis.levels import WORTH
 
 DIGITS = 2
 NAMES = {

@@ -31,12 +31,12 @@ from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import BLIND
 from tuning.diagnosis.fits.reference_noise import share_lost
 from tuning.diagnosis.hypotheses.model import counted_in, delay_of
+from tuning.diagnosis.levels import BLOCK
 from tuning.identification.replay import ReplayInputs, initial_loop_state, replay_inputs
 
 TRUSTING = 0.1  # of the likeliest process force
 MOVING, SETTLED = 5e-4, 0.03  # m/s and s: a table that slides
 SLID = 0.02  # of the samples
-BLOCK = 0.25  # s, of the bootstrap
 DRAWS = 400
 NOISES = 8  # draws of the measuring noise
 SEEDS = 3  # simulations with noise

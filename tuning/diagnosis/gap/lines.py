@@ -13,6 +13,7 @@ from scipy import fft, ndimage
 
 from tuning.diagnosis.filter.ekf import force_per_innovation
 from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.levels import BLOCK
 
 MOST_PLACES = 2**21  # of a travel, told apart
 PEAKS, STRONG = 4, 2  # that stand out most from their neighbourhood, and those of a wide one
@@ -20,7 +21,6 @@ REFINED = 9  # values that are tried about a line
 LATEST = 0.01  # s, that the missing force is seen late at most
 SHADOW = 0.5  # of a line's energy: one that has less left beside another is the other's shadow
 AS_GOOD = 0.9  # of a line's energy: a shadow that explains as much may as well be the line itself
-BLOCK = 0.25  # s, over which two explanations are compared
 SURE = 2.0  # standard deviations of that
 NEIGHBOURS = 40  # bins, whose median a line must stand out from
 WIDE = 2000  # bins, of a wide one

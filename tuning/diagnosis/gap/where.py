@@ -21,12 +21,13 @@ from numpy.typing import ArrayLike
 from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME
 from tuning.diagnosis.gap.gap import ForceGap
 from tuning.diagnosis.gap.lines import Standing, lines_in_position, lines_in_time, told_apart
+from tuning.diagnosis.levels import BLOCK
 from tuning.identification.prediction import Lanes
 from tuning.identification.shown_motion import SLOWEST
 
 LAID = 4000  # times that the energy is laid elsewhere: a single region must stand out from some forty
 TOGETHER = 2**20  # cells that are laid out anew at once
-PIECE, CELL = 0.25, 5e-3  # s: what is laid together, and what is told apart within it
+CELL = 5e-3  # s: what is told apart within a block, which is laid together
 SETTLING = 0.05  # s about a change of direction that count as the reversal
 STEADY = 0.15  # of the largest acceleration, below which a motion is a cruise
 PLACES, TIMES, SPEEDS = 6, 6, 4
@@ -141,7 +142,7 @@ def _shares(
     cells = np.add.reduceat(energy, starts) / energy.sum()
     inside = np.array([np.add.reduceat(one.inside[counted].astype(float), starts) / lengths for one in asked])
     observed, as_well = inside @ cells, np.zeros(len(asked))
-    piece = np.arange(len(cells)) // max(1, round(PIECE / CELL))
+    piece = np.arange(len(cells)) // max(1, round(BLOCK / CELL))
     room = np.random.default_rng(0)
     for laid in np.diff(np.r_[0 : LAID : max(1, TOGETHER // len(cells)), LAID]):
         order = np.argsort(room.random((laid, piece[-1] + 1))[:, piece], axis=1, kind="stable")

@@ -24,14 +24,14 @@ from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.gap.gap import sliding
 from tuning.diagnosis.hypotheses.model import delay_of
 from tuning.diagnosis.judgement.verdict import Verdict
+from tuning.diagnosis.levels import BLOCK
 from tuning.diagnosis.selection.explanation import Explanation
 from tuning.identification.controller.signals import LOW_PASS
 
 TAPS = 5  # samples, the first of them one sooner than the delay that was found, if that is one or more
 SHARE = 0.1  # of the command that each sample may add, one standard deviation
 QUICK = 20.0  # scatters of the measurement a sample: a slower table's counts are no noise, and the command follows them
-PIECE = 0.25  # s
-SINGLE = 12.0  # of cost, that such a piece counts at most, for or against: one event that goes wrong tells nothing
+SINGLE = 12.0  # of cost, that a block counts at most, for or against: one event that goes wrong tells nothing
 FOLLOWING = 30.0  # of -2 log likelihood, that the last commands explain beside what was found, and
 FOLLOWS = 0.003  # of what was gained, or of what an effect between command and force gained: more is structure
 CLOCKS = 1000.0  # of -2 log likelihood: more than clocks make that are a microsecond apart
@@ -54,7 +54,7 @@ def follows_command(fitted: Fitted) -> float:
     residual = fitted.residual - fitted.jacobian @ left
     added = answers @ amounts - fitted.jacobian @ (making_way @ amounts)
     gained = (-added * (2.0 * residual + added)).reshape(velocity.shape)
-    pieces = np.add.reduceat(gained, np.arange(0, gained.shape[1], max(1, round(PIECE * logged.sampling.rate))), axis=1)
+    pieces = np.add.reduceat(gained, np.arange(0, gained.shape[1], max(1, round(BLOCK * logged.sampling.rate))), axis=1)
     return float(np.sum(np.clip(pieces, -SINGLE, SINGLE)))
 
 

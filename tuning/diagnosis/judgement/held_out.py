@@ -5,9 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tuning.diagnosis.fits.goodness_of_fit import IMPOSSIBLE, WORTH, is_plausible, relieves
+from tuning.diagnosis.fits.goodness_of_fit import is_plausible, relieves
 from tuning.diagnosis.judgement.ladder import ModelComparison, known_floor
 from tuning.diagnosis.judgement.verdict import Verdict
+from tuning.diagnosis.levels import IMPOSSIBLE, WORTH
 from tuning.diagnosis.selection.explanation import Explanation
 
 DENIED = 0.05  # of the evidence gained, that the held-out logs may lose

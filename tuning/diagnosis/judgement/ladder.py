@@ -20,9 +20,9 @@ from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.gap.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap, uncoupled
 from tuning.diagnosis.gap.splitting import Split, determined, of_session, split
 from tuning.diagnosis.hypotheses.calibration import NAMES
+from tuning.diagnosis.levels import BLOCK
 from tuning.diagnosis.selection.explanation import Explanation
 
-PIECE = 0.25  # s, over which two models are compared on what is held out
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
 
 
@@ -70,7 +70,7 @@ def _unlikely(filtered: EkfResult, counts: Float[np.ndarray, "lanes n"], rate: f
     size, scatter = float(filtered.noise_scale_sq), np.asarray(filtered.innovation_std)
     squares = np.minimum((np.asarray(filtered.innovation) / scatter) ** 2, LOST**2)
     each = counts * (squares / size - 1.0 + np.log(size) + 2.0 * np.log(scatter))
-    begins = np.arange(0, counts.shape[1], max(1, round(PIECE * rate)))
+    begins = np.arange(0, counts.shape[1], max(1, round(BLOCK * rate)))
     return np.add.reduceat(each, begins, axis=1)[np.add.reduceat(counts, begins, axis=1) > 0]
 
 

@@ -15,10 +15,6 @@ from scipy.special import expit
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
-    COARSE,
-    IMPOSSIBLE,
-    LEFT,
-    STRAINED,
     is_complete,
     is_implausible,
     largest_deviation_says,
@@ -26,13 +22,13 @@ from tuning.diagnosis.fits.goodness_of_fit import (
     relieves,
     unexplained,
 )
+from tuning.diagnosis.levels import COARSE, DECLARED, IMPOSSIBLE, LEFT, STRAINED
 from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Round
 
 COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
 BLURRED = 0.25  # of the evidence that is enough: by so much it is not known
-DECLARED = 0.05  # of probability against the best: a hypothesis that likely is not excluded
 ROUGHLY = 0.2  # in the place of LEFT, for one effect alone whose details differ from machine to machine
 TOLD = 0.005  # unexplained, from which on it is said
 SHARPNESS = 3.0  # by which factor more or less makes it sure

@@ -18,7 +18,8 @@ import numpy as np
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.reduced import reduced
-from tuning.diagnosis.judgement.verdict import COLDEST, DECLARED, SOFT
+from tuning.diagnosis.judgement.verdict import COLDEST, SOFT
+from tuning.diagnosis.levels import DECLARED
 from tuning.diagnosis.limits.detection import (
     UNEXPECTED,
     ByAmount,

@@ -24,9 +24,9 @@ from diffdrive.numerics.arrays import Scalar
 from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.filter.ekf import ProcessNoise, compiled_filter, deviance_of
 from tuning.diagnosis.fits.fitted import Fitted
-from tuning.diagnosis.fits.goodness_of_fit import WORTH
 from tuning.diagnosis.gap.lines import missing_force
 from tuning.diagnosis.hypotheses.model import Logged, Model, Vector, effect_in_lanes, machine, signals_along
+from tuning.diagnosis.levels import WORTH
 from tuning.identification.prediction import Lanes, initial_velocity
 from tuning.optimisation.adaptation import Minimum, minimum
 from tuning.store.store import Store, digest

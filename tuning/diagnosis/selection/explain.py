@@ -10,10 +10,6 @@ from tuning.diagnosis.fits.curvature import limited, solved
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import NEAR, Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
-    IMPOSSIBLE,
-    SLIGHT,
-    STRAINED,
-    WORTH,
     blind,
     is_complete,
     is_implausible,
@@ -25,6 +21,7 @@ from tuning.diagnosis.fits.goodness_of_fit import (
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.model import Logged, Vector
+from tuning.diagnosis.levels import IMPOSSIBLE, SLIGHT, STRAINED, WORTH
 from tuning.diagnosis.selection.explanation import Explanation, is_better, last_outweighs_the_rest, other_first
 from tuning.diagnosis.selection.refit import drop_effect, refit_from_nominal, searched_again, to_its_end
 from tuning.diagnosis.selection.search import (

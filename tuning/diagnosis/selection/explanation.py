@@ -3,15 +3,8 @@
 from typing import NamedTuple, Optional
 
 from tuning.diagnosis.fits.fitted import Fitted
-from tuning.diagnosis.fits.goodness_of_fit import (
-    SLIGHT,
-    STRAINED,
-    WORTH,
-    comparable_parameters,
-    is_implausible,
-    max_prior_deviation,
-    relieves,
-)
+from tuning.diagnosis.fits.goodness_of_fit import comparable_parameters, is_implausible, max_prior_deviation, relieves
+from tuning.diagnosis.levels import SLIGHT, STRAINED, WORTH
 from tuning.diagnosis.selection.search import Round, apart_from
 
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place

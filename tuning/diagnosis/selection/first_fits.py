@@ -6,10 +6,11 @@ import numpy as np
 
 from tuning.diagnosis.fits.fitted import Fitted, Point
 from tuning.diagnosis.fits.fitting import MOST_STEPS, Fitter
-from tuning.diagnosis.fits.goodness_of_fit import STRAINED, max_prior_deviation
+from tuning.diagnosis.fits.goodness_of_fit import max_prior_deviation
 from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.model import Model, Vector
+from tuning.diagnosis.levels import STRAINED
 from tuning.diagnosis.selection.refit import possible
 from tuning.diagnosis.selection.screening import Screened, begin, joined
 

@@ -7,11 +7,12 @@ import numpy as np
 
 from tuning.diagnosis.fits.fitted import Fitted, Point
 from tuning.diagnosis.fits.fitting import MOST_STEPS, NEAR, Fitter
-from tuning.diagnosis.fits.goodness_of_fit import SLIGHT, WORTH, is_complete, is_implausible
+from tuning.diagnosis.fits.goodness_of_fit import is_complete, is_implausible
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.harmonics import at_its_root
 from tuning.diagnosis.hypotheses.model import Model, Vector
+from tuning.diagnosis.levels import SLIGHT, WORTH
 from tuning.diagnosis.selection.evolving import evolved_once
 from tuning.diagnosis.selection.screening import begin, joined
 

@@ -22,7 +22,7 @@ from tuning.diagnosis.fits.curvature import limited, log_volume, solved
 from tuning.diagnosis.fits.differences import by_acts
 from tuning.diagnosis.fits.fitted import Fitted, Point, of_residuals, residual_jvp
 from tuning.diagnosis.fits.fitting import Fitter
-from tuning.diagnosis.fits.goodness_of_fit import STRAINED, max_prior_deviation
+from tuning.diagnosis.fits.goodness_of_fit import max_prior_deviation
 from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
@@ -38,6 +38,7 @@ from tuning.diagnosis.hypotheses.model import (
     stacked,
 )
 from tuning.diagnosis.hypotheses.priors import Parameter
+from tuning.diagnosis.levels import STRAINED
 from tuning.diagnosis.selection.evolving import evolved_once
 from tuning.diagnosis.selection.starting_points import starting_points
 from tuning.store.store import Arrays

@@ -16,20 +16,12 @@ from diffdrive.model.uncertainty import Uncertainty
 from tuning.diagnosis.filter.effect_signals import Trajectory
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
-from tuning.diagnosis.fits.goodness_of_fit import (
-    COARSE,
-    IMPOSSIBLE,
-    LEFT,
-    STRAINED,
-    WORTH,
-    comparable_parameters,
-    max_prior_deviation,
-    relieves,
-)
+from tuning.diagnosis.fits.goodness_of_fit import comparable_parameters, max_prior_deviation, relieves
 from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.hypotheses.calibration import prior_root
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.model import Logged, Member, Model
+from tuning.diagnosis.levels import COARSE, IMPOSSIBLE, LEFT, STRAINED, WORTH
 from tuning.diagnosis.selection.first_fits import BESIDE, PROMISING, RACE, begun_again, fit_from, fit_to_nominal
 from tuning.diagnosis.selection.refit import (
     allowance,

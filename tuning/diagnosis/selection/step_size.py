@@ -12,7 +12,8 @@ import numpy as np
 from diffdrive.model.parameters import LONGEST_SUBSTEP
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
-from tuning.diagnosis.fits.goodness_of_fit import SLIGHT, WORTH, missing
+from tuning.diagnosis.fits.goodness_of_fit import missing
+from tuning.diagnosis.levels import SLIGHT, WORTH
 
 
 def with_step_short_enough(fitter: Fitter, base: Fitted) -> tuple[Fitter, Fitted]:

@@ -10,11 +10,12 @@ from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash, Compliance
 from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of, recalibrated_of
 from tests.support.sound_log import DRIVE, RATE
-from tuning.diagnosis.fits.goodness_of_fit import LACKING, STRAINED, is_complete, max_prior_deviation, power_left
+from tuning.diagnosis.fits.goodness_of_fit import is_complete, max_prior_deviation, power_left
 from tuning.diagnosis.hypotheses.calibration import NAMES, TOLERANCE
 from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
+from tuning.diagnosis.levels import LACKING, STRAINED
 from tuning.diagnosis.selection import evolving, refit
 from tuning.diagnosis.selection.first_fits import fit_from
 from tuning.diagnosis.selection.screening import begin, joined, screen, sensitivities

@@ -17,19 +17,13 @@ from tests.support.sound_log import DRIVE, RATE, axis_of, simulate_log, two_sine
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fits.curvature import FARTHEST
 from tuning.diagnosis.fits.fitting import LEAST, Fitter
-from tuning.diagnosis.fits.goodness_of_fit import (
-    IMPOSSIBLE,
-    LACKING,
-    STRAINED,
-    WORTH,
-    max_prior_deviation,
-    missing_evidence,
-)
+from tuning.diagnosis.fits.goodness_of_fit import max_prior_deviation, missing_evidence
 from tuning.diagnosis.hypotheses.calibration import LOGARITHMS, NAMES, TOLERANCE, calibrated, tolerated
 from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.judgement.events import CHANCE, least_foreseen
+from tuning.diagnosis.levels import IMPOSSIBLE, LACKING, STRAINED, WORTH
 from tuning.diagnosis.selection.explain import _further, explain
 from tuning.diagnosis.selection.first_fits import RACE, fit_from
 from tuning.diagnosis.selection.screening import _pushed, begin, joined, screen, sensitivities, tried

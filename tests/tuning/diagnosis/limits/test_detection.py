@@ -10,10 +10,10 @@ from diffdrive.effects.forces import Cogging, ConstantForce
 from diffdrive.effects.scale import LeadError
 from tests.support.perturbed_machine import catalogue, fitter_of, recalibrated_of
 from tuning.diagnosis.filter.second_encoder import Twist, seen_by, twist_deviance
-from tuning.diagnosis.fits.goodness_of_fit import LACKING
 from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
 from tuning.diagnosis.hypotheses.priors import Parameter
+from tuning.diagnosis.levels import LACKING
 from tuning.diagnosis.limits.detection import (
     AMPLITUDE,
     DetectionLimit,

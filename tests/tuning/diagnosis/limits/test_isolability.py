@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.support.perturbed_machine import catalogue, recalibrated_of
-from tuning.diagnosis.fits.goodness_of_fit import LACKING
-from tuning.diagnosis.judgement.verdict import COLDEST, DECLARED, SOFT
+from tuning.diagnosis.judgement.verdict import COLDEST, SOFT
+from tuning.diagnosis.levels import DECLARED, LACKING
 from tuning.diagnosis.limits import isolability
 from tuning.diagnosis.limits.detection import (
     Answers,

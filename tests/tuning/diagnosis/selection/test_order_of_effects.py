@@ -10,20 +10,11 @@ from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F40
 from tests.support.sound_log import DRIVE
 from tuning.diagnosis.fits import goodness_of_fit
 from tuning.diagnosis.fits.fitting import MOST_STEPS
-from tuning.diagnosis.fits.goodness_of_fit import (
-    IMPOSSIBLE,
-    LEFT,
-    SLIGHT,
-    STRAINED,
-    WORTH,
-    max_prior_deviation,
-    missing_evidence,
-    relieves,
-    unexplained,
-)
+from tuning.diagnosis.fits.goodness_of_fit import max_prior_deviation, missing_evidence, relieves, unexplained
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.setting import Setting
+from tuning.diagnosis.levels import IMPOSSIBLE, LEFT, SLIGHT, STRAINED, WORTH
 from tuning.diagnosis.selection import explain, refit, search
 from tuning.diagnosis.selection.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, _further, evidence_needed
 from tuning.diagnosis.selection.refit import refit_rivals, to_its_end

@@ -12,14 +12,13 @@ from tests.support.slow_trace import every
 from tuning.diagnosis.diagnose import diagnose, logged_of
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
-    LACKING,
-    STRAINED,
     is_complete,
     max_prior_deviation,
     missing_evidence,
     sudden_force_evidence,
 )
 from tuning.diagnosis.hypotheses.calibration import DELAY, NAMES, TOLERANCE
+from tuning.diagnosis.levels import LACKING, STRAINED
 from tuning.diagnosis.selection.search import recalibrated
 from tuning.diagnosis.selection.snapshots import as_snapshots, within_rows
 

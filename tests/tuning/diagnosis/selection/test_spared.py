@@ -3,7 +3,7 @@
 import pytest
 
 from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F401
-from tuning.diagnosis.fits.goodness_of_fit import SLIGHT, WORTH
+from tuning.diagnosis.levels import SLIGHT, WORTH
 from tuning.diagnosis.selection import explain
 from tuning.diagnosis.selection.explain import _Search
 from tuning.diagnosis.selection.explanation import Explanation

@@ -8,7 +8,7 @@ from diffdrive.model.parameters import LONGEST_SUBSTEP, Sampling
 from tests.support.perturbed_machine import recalibrated_of
 from tests.support.sound_log import RATE
 from tuning.diagnosis.fits.fitting import Fitter
-from tuning.diagnosis.fits.goodness_of_fit import WORTH
+from tuning.diagnosis.levels import WORTH
 from tuning.diagnosis.selection.step_size import with_step_short_enough
 
 pytestmark = pytest.mark.long  # fits in other steps: programs of their own

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F401
-from tuning.diagnosis.fits.goodness_of_fit import IMPOSSIBLE, SLIGHT, WORTH
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.judgement import verdict
+from tuning.diagnosis.levels import IMPOSSIBLE, SLIGHT, WORTH
 from tuning.diagnosis.selection import explain, refit
 from tuning.diagnosis.selection.explain import _credibly, _searched_beside
 from tuning.diagnosis.selection.explanation import Explanation, is_better, other_first
