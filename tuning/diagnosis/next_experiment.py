@@ -31,11 +31,11 @@ from tuning.diagnosis.gap.gap import MOVING, drive_of
 from tuning.diagnosis.gap.where import SIGNIFICANT, Region
 from tuning.diagnosis.hypotheses.model import Logged, Model, thinned
 from tuning.diagnosis.judgement.verdict import Belief
+from tuning.diagnosis.levels import LACKING
 from tuning.experiment_design.next_motion import ACCELERATION, available_limits, candidates
 from tuning.identification.prediction import Lanes
 
 STEPS, MORE = 3, 12  # of the rival's fit: to choose a motion, and before it is believed
-ENOUGH = 12.0  # of cost between them
 LASTS = 10.0  # s, that strokes are repeated for
 TURNS = 5.0  # Hz, of a sine that is to turn often
 SLOW, PAUSE = 5.0, 0.5  # s for a slow stroke, and between strokes that stop often
@@ -88,10 +88,10 @@ def next_experiment(found: Diagnosis, description: Axis) -> Experiment:
         return _told(first.fitted, fitted, description, inputs, steps)
 
     best, tells = _surest({name: tells_of(name, STEPS) for name in tried}, lambda name: tells_of(name, MORE))
-    if tells < ENOUGH:
+    if tells < LACKING:
         says = (
             f"None of the {len(tried)} motions tried would distinguish {between[0]} from {between[1]} "
-            f"(the best by {tells:.0f} in -2 log likelihood, {ENOUGH:.0f} being enough)."
+            f"(the best by {tells:.0f} in -2 log likelihood, {LACKING:.0f} being enough)."
         )
         return Experiment("", between, tells, says)
     says = f"The motion {best} would distinguish {between[0]} from {between[1]} (by {tells:.0f} in -2 log likelihood)."

@@ -115,7 +115,7 @@ def test_a_motion_is_simulated_with_one_cause_and_read_by_the_other():
         fits.append(fitter.fit(model, theta, base.process_noise, base.filtered.trajectory, 2))
     stroke = list(MOTIONS.values())[-1]
     inputs = loop_inputs(stroke, np.zeros(len(stroke.time)))
-    assert module._told(fits[0], fits[1], DRIVE, inputs, module.STEPS) > module.ENOUGH
+    assert module._told(fits[0], fits[1], DRIVE, inputs, module.STEPS) > module.LACKING
     assert abs(module._told(fits[0], fits[0], DRIVE, inputs, module.STEPS)) < 1e-6
 
 

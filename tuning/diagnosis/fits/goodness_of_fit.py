@@ -12,10 +12,9 @@ from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import MOST, Fitter
 from tuning.diagnosis.fits.reference_noise import least_trusted, lost_samples, lost_share
 from tuning.diagnosis.hypotheses.calibration import DELAY, FORCE, NAMES
-from tuning.diagnosis.levels import IMPOSSIBLE, LACKING, STRAINED
+from tuning.diagnosis.levels import BLOWS, IMPOSSIBLE, LACKING, STRAINED
 
 MOSTLY = 0.5  # of what is missing
-BLOWS = 25.0  # of lacking cost that one sample counts at which the filter was lost
 BLIND = 0.05  # of the samples: where the filter is lost at more of them, its cost counts nothing but blows
 FEW_LOST = 3  # samples, at which a filter may be lost without anything missing
 RELEVANT = 3e-4  # of the friction
@@ -89,7 +88,7 @@ def missing(fitter: Fitter, fitted: Fitted) -> float:
 
 def is_complete(fitter: Fitter, fitted: Fitted) -> bool:
     """Whether a fit explains the logs to the noise."""
-    return lost_samples(fitted) <= FEW_LOST and missing_evidence(fitter, fitted) <= LACKING
+    return lost_samples(fitted) <= FEW_LOST and missing_evidence(fitter, fitted) <= LACKING  # a blow is more than that
 
 
 def blind(fitter: Fitter, base: Fitted) -> bool:

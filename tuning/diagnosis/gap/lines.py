@@ -13,7 +13,7 @@ from scipy import fft, ndimage
 
 from tuning.diagnosis.filter.ekf import force_per_innovation
 from tuning.diagnosis.fits.fitted import Fitted
-from tuning.diagnosis.levels import BLOCK
+from tuning.diagnosis.levels import BLOCK, SURELY
 
 MOST_PLACES = 2**21  # of a travel, told apart
 PEAKS, STRONG = 4, 2  # that stand out most from their neighbourhood, and those of a wide one
@@ -21,7 +21,6 @@ REFINED = 9  # values that are tried about a line
 LATEST = 0.01  # s, that the missing force is seen late at most
 SHADOW = 0.5  # of a line's energy: one that has less left beside another is the other's shadow
 AS_GOOD = 0.9  # of a line's energy: a shadow that explains as much may as well be the line itself
-SURE = 2.0  # standard deviations of that
 NEIGHBOURS = 40  # bins, whose median a line must stand out from
 WIDE = 2000  # bins, of a wide one
 FOOT = 8.0  # times its neighbourhood, that a line with a foot of its own is
@@ -214,4 +213,4 @@ def _surely(
     """Whether one fit explains more than another by more than chance and by more than a little."""
     over = (signal - other) ** 2 - (signal - fit) ** 2
     blocks = np.add.reduceat(over, np.arange(0, signal.shape[1], max(1, round(BLOCK * rate))), axis=1)
-    return bool(blocks.sum() > max(SURE * np.sqrt(np.sum(blocks**2)), (1.0 - AS_GOOD) * np.sum(fit**2)))
+    return bool(blocks.sum() > max(SURELY * np.sqrt(np.sum(blocks**2)), (1.0 - AS_GOOD) * np.sum(fit**2)))

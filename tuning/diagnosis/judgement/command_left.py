@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.ndimage import convolve1d
+from scipy.stats import chi2
 
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import ActuatorEffect
@@ -24,15 +25,16 @@ from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.gap.gap import sliding
 from tuning.diagnosis.hypotheses.model import delay_of
 from tuning.diagnosis.judgement.verdict import Verdict
-from tuning.diagnosis.levels import BLOCK
+from tuning.diagnosis.levels import BLOCK, CHANCE, WORTH
 from tuning.diagnosis.selection.explanation import Explanation
 from tuning.identification.controller.signals import LOW_PASS
 
 TAPS = 5  # samples, the first of them one sooner than the delay that was found, if that is one or more
 SHARE = 0.1  # of the command that each sample may add, one standard deviation
 QUICK = 20.0  # scatters of the measurement a sample: a slower table's counts are no noise, and the command follows them
-SINGLE = 12.0  # of cost, that a block counts at most, for or against: one event that goes wrong tells nothing
-FOLLOWING = 30.0  # of -2 log likelihood, that the last commands explain beside what was found, and
+FOLLOWING = float(
+    chi2.isf(CHANCE, TAPS)
+)  # of -2 log likelihood, that the last commands explain beside what was found, and
 FOLLOWS = 0.003  # of what was gained, or of what an effect between command and force gained: more is structure
 CLOCKS = 1000.0  # of -2 log likelihood: more than clocks make that are a microsecond apart
 
@@ -55,7 +57,7 @@ def follows_command(fitted: Fitted) -> float:
     added = answers @ amounts - fitted.jacobian @ (making_way @ amounts)
     gained = (-added * (2.0 * residual + added)).reshape(velocity.shape)
     pieces = np.add.reduceat(gained, np.arange(0, gained.shape[1], max(1, round(BLOCK * logged.sampling.rate))), axis=1)
-    return float(np.sum(np.clip(pieces, -SINGLE, SINGLE)))
+    return float(np.sum(np.clip(pieces, -WORTH, WORTH)))
 
 
 def downgraded_by_command(verdict: Verdict, found: Explanation) -> Verdict:

@@ -14,10 +14,10 @@ from scipy.stats import chi2
 from tuning.diagnosis.filter.ekf import LOST
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.judgement.verdict import Verdict
+from tuning.diagnosis.levels import CHANCE
 
 MOMENT, SHORTEST = 5e-3, 3  # s, and samples at least
 SETTLED = 3  # samples after one at which the filter was lost
-CHANCE = -6.0  # decades: sound machines come to -2 at the least, a limit that a dozen samples reach to -18
 
 
 class Event(NamedTuple):
@@ -70,7 +70,7 @@ def downgraded_by_event(verdict: Verdict, fitted: Fitted) -> Verdict:
     if verdict.verdict != "none":
         return verdict
     event = least_foreseen(fitted)
-    if event.decades > CHANCE:
+    if event.decades > np.log10(CHANCE):
         return verdict
     logged = fitted.model.logged
     at = float(logged.starts[event.lane]) + event.begins * logged.sampling.period

@@ -8,15 +8,13 @@ import numpy as np
 from tuning.diagnosis.fits.goodness_of_fit import is_plausible, relieves
 from tuning.diagnosis.judgement.ladder import ModelComparison, known_floor
 from tuning.diagnosis.judgement.verdict import Verdict
-from tuning.diagnosis.levels import IMPOSSIBLE, WORTH
+from tuning.diagnosis.levels import DETAILS, IMPOSSIBLE, SURELY, WORTH
 from tuning.diagnosis.selection.explanation import Explanation
 
-DENIED = 0.05  # of the evidence gained, that the held-out logs may lose
-SURELY = 2.0  # standard deviations of what the held-out logs lose, by which it must stand out
 HIDDEN = 1.05  # times the floor: a gap below is none, and no share of it means anything
 PLAIN = 2.0  # times the floor's mean square: a gap, be it in a single place, which draws of pieces may miss
 PROVED = 0.5  # of the gap beyond the floor, that must be gone
-DETAILS = 2.5  # times its floor: more than what the details of a coarse effect leave
+ENLARGED = 2.5  # times its floor: more than what the details of a coarse effect leave
 SEEN = 2.0  # times its floor: the gap in closed loop that tells something, and a floor that tells nothing
 
 
@@ -148,7 +146,7 @@ def fails_validation(more: ModelComparison, fewer: ModelComparison, gained: floa
     if relieves(more.fitted, fewer.fitted, IMPOSSIBLE):
         return False
     worse = more.unlikely - fewer.unlikely
-    return bool(worse.sum() > max(WORTH, DENIED * gained, SURELY * np.sqrt(worse.size) * np.std(worse)))
+    return bool(worse.sum() > max(WORTH, DETAILS * gained, SURELY * np.sqrt(worse.size) * np.std(worse)))
 
 
 def confirmed(verdict: Verdict, comparisons: list[ModelComparison], share: GapReduction | None) -> Verdict:
@@ -166,7 +164,7 @@ def confirmed(verdict: Verdict, comparisons: list[ModelComparison], share: GapRe
         return verdict.downgraded(f"in the held-out data only {gone} of the missing force is gone")
     last = comparisons[-1]
     floor = known_floor(comparisons, last) if last.fitted.model.coarse and last.force.told else None
-    if floor is not None and last.force.rms > DETAILS * floor:
+    if floor is not None and last.force.rms > ENLARGED * floor:
         times = last.force.rms / floor
         return verdict.downgraded(f"the force still missing in the held-out data is {times:.1f} times its floor")
     return verdict

@@ -22,21 +22,18 @@ from tuning.diagnosis.fits.goodness_of_fit import (
     relieves,
     unexplained,
 )
-from tuning.diagnosis.levels import COARSE, DECLARED, IMPOSSIBLE, LEFT, STRAINED
+from tuning.diagnosis.levels import COARSE, COLDEST, DECLARED, DETAILS, IMPOSSIBLE, LEFT, STRAINED
 from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Round
 
-COLDEST, SOFT = 8.0, 0.02  # the temperature: at least, and as a share of the evidence gained
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
 BLURRED = 0.25  # of the evidence that is enough: by so much it is not known
-ROUGHLY = 0.2  # in the place of LEFT, for one effect alone whose details differ from machine to machine
 TOLD = 0.005  # unexplained, from which on it is said
 SHARPNESS = 3.0  # by which factor more or less makes it sure
-UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it
+UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it; where much is left, how sure one is
+TAKEN = 0.9  # that surely takes away so much of the force that is missing in what is held out
 SUREST = 0.97  # the most that any is: fits end in false minima, and machines have what no catalogue lists
 NEAREST = 0.2  # how sure an effect without rivals is where much is left: about one in five of them acts
-CLOSEST = 0.5  # the same of one that surely takes away `TAKEN` of the force that is missing in what is held out
-TAKEN = 0.9
 
 
 class Belief(NamedTuple):
@@ -79,7 +76,7 @@ def _unsure(beliefs: list[Belief]) -> list[Belief]:
 
 def _probabilities(gains: Float[np.ndarray, " k"], left: float) -> Float[np.ndarray, " k"]:
     best = float(np.max(gains, initial=0.0))
-    temperature = max(COLDEST, (SOFT + ROUGH * left) * best)
+    temperature = max(COLDEST, (LEFT + ROUGH * left) * best)
     weights = np.exp((gains - np.max(gains)) / temperature)
     return weights / np.sum(weights)
 
@@ -151,7 +148,7 @@ def _may_leave(best: Fitted) -> float:
     """
     if not best.model.coarse:
         return LEFT
-    return ROUGHLY if best.model.added == 1 else COARSE
+    return COARSE if best.model.added == 1 else DETAILS
 
 
 def _worth(gain: float, enough: float) -> float:
@@ -191,7 +188,7 @@ def judge(
     sure = NEAREST + (1.0 - NEAREST) * known
     much_left = known < 0.5
     taking = [much_left and one is not None and one >= TAKEN for one in closes or [None] * effects]
-    surely = [max(sure, CLOSEST) if one else sure for one in taking]
+    surely = [max(sure, UNSURE) if one else sure for one in taking]
     beliefs: list[Belief] = []
     for number, looked in enumerate(found.rounds):
         if not looked.fits:

@@ -4,7 +4,7 @@ Amounts a of one effect move the residuals by D a, of another by D' a'. What is 
 products S of their columns (`reduced`). In the log of a machine that has the first, -2 log likelihood falls by
 a' S (S + 1)^-1 S a with that effect, and with the other in its place by as much with the products of both in the place
 of the first and last S. The other is excluded where the difference, less that of the volumes that the logs leave of
-their priors, is what excludes a hypothesis (`verdict.DECLARED`). So nothing is simulated and nothing fitted, and it is
+their priors, is what excludes a hypothesis (`levels.DECLARED`). So nothing is simulated and nothing fitted, and it is
 said which effects another motion would have to tell apart.
 
 Only effects that are there by degrees are compared: those whose residuals are linear in an amount.
@@ -18,8 +18,7 @@ import numpy as np
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.reduced import reduced
-from tuning.diagnosis.judgement.verdict import COLDEST, SOFT
-from tuning.diagnosis.levels import DECLARED
+from tuning.diagnosis.levels import EXCLUDED, LACKING, LEFT
 from tuning.diagnosis.limits.detection import (
     UNEXPECTED,
     ByAmount,
@@ -33,8 +32,6 @@ from tuning.diagnosis.limits.detection import (
     limit_of,
     volume,
 )
-
-EXCLUDED = -float(np.log(DECLARED))  # temperatures of the verdict, by which a rival is no alternative
 
 
 class Rivalry(NamedTuple):
@@ -114,8 +111,8 @@ def _isolable_size(products: Products, mine: _Columns, other: _Columns, groups: 
     by_itself, instead = explained(own, own), explained(products[mine.at, other.at], theirs)
     dearer = volume(own) - volume(theirs)
     return max(
-        deviations(gain_per_deviation(by_itself - instead, groups), EXCLUDED * COLDEST + dearer),
-        deviations(gain_per_deviation((1.0 - EXCLUDED * SOFT) * by_itself - instead, groups), dearer),
+        deviations(gain_per_deviation(by_itself - instead, groups), LACKING + dearer),
+        deviations(gain_per_deviation((1.0 - EXCLUDED * LEFT) * by_itself - instead, groups), dearer),
     )
 
 

@@ -21,7 +21,7 @@ from tuning.diagnosis.fits.goodness_of_fit import (
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.model import Logged, Vector
-from tuning.diagnosis.levels import IMPOSSIBLE, SLIGHT, STRAINED, WORTH
+from tuning.diagnosis.levels import COARSE, DETAILS, IMPOSSIBLE, LACKING, STRAINED, WORTH
 from tuning.diagnosis.selection.explanation import Explanation, is_better, last_outweighs_the_rest, other_first
 from tuning.diagnosis.selection.refit import drop_effect, refit_from_nominal, searched_again, to_its_end
 from tuning.diagnosis.selection.search import (
@@ -34,10 +34,6 @@ from tuning.diagnosis.selection.search import (
 )
 from tuning.diagnosis.selection.stages import Tell, of_round, unheard
 
-AGAIN = 0.2  # of what an effect explained: more that was gained without it, and all are looked at again
-SLIGHTER = 0.2  # in place of SLIGHT beside what is coarse, or where the filter was lost all along
-RELIEF = 20.0  # in evidence, that is enough where nothing is missing
-RESOLVING = 50.0  # in evidence, that is enough where nothing is left then: a small effect beside a large one
 MOST_EFFECTS = 2
 
 
@@ -82,13 +78,13 @@ def evidence_needed(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fit
     if fits and relieves(fits[0], best):
         return WORTH
     model, gained = best.model, base.evidence - best.evidence
-    sudden = SLIGHTER * sudden_force_evidence(fitter, best)
+    sudden = COARSE * sudden_force_evidence(fitter, best)
     if ended and not model.coarse:
-        return max(RELIEF, sudden)
-    slight = SLIGHTER if model.coarse or blind(fitter, base) else SLIGHT
-    enough = max(RELIEF if ended else WORTH, slight * gained)
+        return max(LACKING, sudden)
+    slight = COARSE if model.coarse or blind(fitter, base) else DETAILS
+    enough = max(LACKING if ended else WORTH, slight * gained)
     if fits and not model.coarse and is_complete(fitter, fits[0]):
-        enough = min(enough, RESOLVING)
+        enough = min(enough, LACKING)
     return max(enough, sudden)
 
 
@@ -166,7 +162,7 @@ class _Search:
             if further is not None:
                 from_there = base if rounds else further
                 gained, explained = best.evidence - further.evidence, best.evidence - found.fits[0].evidence
-                again = gained > AGAIN * explained or self.standing(base, best) != self.standing(from_there, further)
+                again = gained > COARSE * explained or self.standing(base, best) != self.standing(from_there, further)
                 again = again and not self.hides_in_sudden_force(from_there, further)
                 base, best = from_there, further
                 if rounds:
@@ -259,9 +255,9 @@ class _Search:
         """The evidence that an effect must bring beside those that were found after it."""
         if relieves(best, fewer) or is_implausible(fewer, best):
             return WORTH
-        enough = max(WORTH, SLIGHT * (base.evidence - fewer.evidence))
-        enough = min(enough, RESOLVING) if is_complete(self.fitter, best) else enough
-        return max(enough, SLIGHTER * sudden_force_evidence(self.fitter, fewer))
+        enough = max(WORTH, DETAILS * (base.evidence - fewer.evidence))
+        enough = min(enough, LACKING) if is_complete(self.fitter, best) else enough
+        return max(enough, COARSE * sudden_force_evidence(self.fitter, fewer))
 
     def beside_the_last(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
         """What was searched for before the last effect was known searched for again beside it; without that one, and
@@ -297,7 +293,7 @@ def explain(
     first = other_first(found)
     if first is None or search.over(found.base, found.best):
         return found
-    enough = max(first.enough, SLIGHTER * sudden_force_evidence(fitter, first.before))
+    enough = max(first.enough, COARSE * sudden_force_evidence(fitter, first.before))
     first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]], enough=enough)
 
     def beside(catalogue: Sequence[Candidate]) -> Explanation:

@@ -4,7 +4,7 @@ from typing import NamedTuple, Optional
 
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.goodness_of_fit import comparable_parameters, is_implausible, max_prior_deviation, relieves
-from tuning.diagnosis.levels import SLIGHT, STRAINED, WORTH
+from tuning.diagnosis.levels import DETAILS, STRAINED, WORTH
 from tuning.diagnosis.selection.search import Round, apart_from
 
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
@@ -37,7 +37,7 @@ def is_better(base: Fitted, one: Fitted, other: Fitted) -> bool:
     """
     if is_implausible(one, other):
         return False
-    may_lack = SLIGHT * max(base.evidence - other.evidence, 0.0) if is_implausible(other, one) else 0.0
+    may_lack = DETAILS * max(base.evidence - other.evidence, 0.0) if is_implausible(other, one) else 0.0
     return one.evidence < other.evidence + may_lack
 
 

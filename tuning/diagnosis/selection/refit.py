@@ -12,7 +12,7 @@ from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.harmonics import at_its_root
 from tuning.diagnosis.hypotheses.model import Model, Vector
-from tuning.diagnosis.levels import SLIGHT, WORTH
+from tuning.diagnosis.levels import DETAILS, WORTH
 from tuning.diagnosis.selection.evolving import evolved_once
 from tuning.diagnosis.selection.screening import begin, joined
 
@@ -93,7 +93,7 @@ def at_nominal(fitter: Fitter, one: Fitted) -> Fitted | None:
 
 def allowance(one: Fitted, nominal: Fitted | Point) -> float:
     """What a fit within the drive file's tolerances may lack against one far beyond them."""
-    return SLIGHT * max(nominal.cost - one.cost, 0.0)
+    return DETAILS * max(nominal.cost - one.cost, 0.0)
 
 
 def refit_from_nominal(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:

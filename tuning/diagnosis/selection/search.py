@@ -21,7 +21,7 @@ from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.hypotheses.calibration import prior_root
 from tuning.diagnosis.hypotheses.candidate import Candidate
 from tuning.diagnosis.hypotheses.model import Logged, Member, Model
-from tuning.diagnosis.levels import COARSE, IMPOSSIBLE, LEFT, STRAINED, WORTH
+from tuning.diagnosis.levels import DETAILS, IMPOSSIBLE, LEFT, STRAINED, WORTH
 from tuning.diagnosis.selection.first_fits import BESIDE, PROMISING, RACE, begun_again, fit_from, fit_to_nominal
 from tuning.diagnosis.selection.refit import (
     allowance,
@@ -149,7 +149,7 @@ def select_next_effect(
 
 def is_sufficient(fitted: Fitted, left: Callable[[Fitted], float]) -> bool:
     """Whether a fit leaves no more than the details of its effects may."""
-    return left(fitted) < (COARSE if fitted.model.coarse else LEFT)
+    return left(fitted) < (DETAILS if fitted.model.coarse else LEFT)
 
 
 def _again(fitter: Fitter, before: Fitted, fits: Sequence[Fitted], left: Callable[[Fitted], float]) -> Sequence[Fitted]:

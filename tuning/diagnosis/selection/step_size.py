@@ -13,7 +13,7 @@ from diffdrive.model.parameters import LONGEST_SUBSTEP
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import missing
-from tuning.diagnosis.levels import SLIGHT, WORTH
+from tuning.diagnosis.levels import DETAILS, WORTH
 
 
 def with_step_short_enough(fitter: Fitter, base: Fitted) -> tuple[Fitter, Fitted]:
@@ -26,7 +26,7 @@ def with_step_short_enough(fitter: Fitter, base: Fitted) -> tuple[Fitter, Fitted
         model = dataclasses.replace(base.model, logged=finer.logged)
         there = finer.settled(model, base.theta, base.process_noise, base.filtered.trajectory)
         lacking = missing(fitter, base)
-        if not np.isfinite(lacking) or abs(there.cost - base.cost) < max(WORTH, SLIGHT * lacking):
+        if not np.isfinite(lacking) or abs(there.cost - base.cost) < max(WORTH, DETAILS * lacking):
             break
         fitter, base = finer, finer.fit(model, base.theta, base.process_noise, base.filtered.trajectory)
     return fitter, base

@@ -22,8 +22,8 @@ from tuning.diagnosis.hypotheses.calibration import LOGARITHMS, NAMES, TOLERANCE
 from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
-from tuning.diagnosis.judgement.events import CHANCE, least_foreseen
-from tuning.diagnosis.levels import IMPOSSIBLE, LACKING, STRAINED, WORTH
+from tuning.diagnosis.judgement.events import least_foreseen
+from tuning.diagnosis.levels import CHANCE, IMPOSSIBLE, LACKING, STRAINED, WORTH
 from tuning.diagnosis.selection.explain import _further, explain
 from tuning.diagnosis.selection.first_fits import RACE, fit_from
 from tuning.diagnosis.selection.screening import _pushed, begin, joined, screen, sensitivities, tried
@@ -52,7 +52,7 @@ def test_a_sound_machine_is_recalibrated_and_nothing_is_missing(sound):
     assert base.process_noise[0] < 0.01  # N
     assert missing_evidence(sound[0], base) < LACKING
     assert float(base.filtered.noise_scale_sq) == pytest.approx(1.0, abs=0.1)
-    assert least_foreseen(base).decades > CHANCE / 2
+    assert least_foreseen(base).decades > np.log10(CHANCE) / 2
     mass = NAMES.index("mass")
     assert TOLERANCE * base.theta[mass] == pytest.approx(DEVIATIONS[mass], abs=5e-4)
 
@@ -289,7 +289,7 @@ def test_a_limit_is_found_that_few_samples_reach(sound, reached):
     base = recalibrated(fitter, TOLERANCE)
     assert missing_evidence(fitter, base) < LACKING
     if reached > 10:  # fewer may or may not be seen, by when they come
-        assert least_foreseen(base).decades < CHANCE  # though a moment goes wrong
+        assert least_foreseen(base).decades < np.log10(CHANCE)  # though a moment goes wrong
     few = [one for one in catalogue(fitter, base) if one.name in ("force_limit", "force_gain", "payload_mass")]
     found = explain(fitter, base, few, lambda *_: None)
     assert found.named == {"force_limit"}
@@ -311,7 +311,7 @@ def test_a_count_that_went_astray_is_no_event_nor_is_a_long_rest(sound, astray):
     lanes = lanes._replace(position=lanes.position.at[0, resting + 3000].add(astray), velocity=jnp.zeros(1))
     base = recalibrated(Fitter(simulate_log._replace(lanes=lanes)), TOLERANCE)
     assert float(base.filtered.noise_scale_sq) < 0.5
-    assert least_foreseen(base).decades > CHANCE / 2
+    assert least_foreseen(base).decades > np.log10(CHANCE) / 2
 
 
 @pytest.mark.parametrize("rate", [2000.0, 10_000.0])

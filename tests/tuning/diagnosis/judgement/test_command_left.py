@@ -20,12 +20,12 @@ from tuning.diagnosis.judgement.command_left import (
     CLOCKS,
     FOLLOWING,
     FOLLOWS,
-    SINGLE,
     TAPS,
     downgraded_by_command,
     follows_command,
 )
 from tuning.diagnosis.judgement.verdict import Belief, Verdict
+from tuning.diagnosis.levels import WORTH
 from tuning.diagnosis.selection.explain import explain
 from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Round, recalibrated
@@ -98,7 +98,7 @@ def test_one_event_that_goes_wrong_is_no_answer_to_commands(late):
     blow = np.where(there, answers, 0.0)
     struck = best._replace(residual=best.residual + 30.0 * (blow / np.linalg.norm(blow)).ravel())
     told = follows_command(struck) - follows_command(best)
-    assert abs(told) < 3 * SINGLE < 0.1 * 30.0**2
+    assert abs(told) < 3 * WORTH < 0.1 * 30.0**2
 
 
 @pytest.mark.long

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tuning.diagnosis.judgement.events import CHANCE, downgraded_by_event, least_foreseen
+from tuning.diagnosis.judgement.events import downgraded_by_event, least_foreseen
 from tuning.diagnosis.judgement.verdict import Verdict
+from tuning.diagnosis.levels import CHANCE
 
 RATE, LANES, SAMPLES = 2000.0, 2, 20_000
 NONE = Verdict("none", [], 0.0, "no effect is missing")
@@ -41,7 +42,7 @@ def test_a_moment_is_named_with_its_log_and_time():
     off = NOISE.copy()
     off[1, 4000:4010] += 4.0
     event = least_foreseen(fitted(off))
-    assert event.decades < CHANCE
+    assert event.decades < np.log10(CHANCE)
     assert (event.lane, event.samples) == (1, 10)
     assert event.begins == pytest.approx(4000, abs=3)
     told = downgraded_by_event(NONE, fitted(off))
@@ -76,7 +77,7 @@ def test_a_table_that_rests_most_of_the_time_makes_no_event_of_its_motion():
     quiet.filtered.noise_scale_sq = 0.2
     assert least_foreseen(quiet).decades > -3.0
     quiet.filtered.innovation[0, 18_000:18_010] += 8e-6
-    assert least_foreseen(quiet).decades < CHANCE
+    assert least_foreseen(quiet).decades < np.log10(CHANCE)
 
 
 def test_a_count_that_flips_at_rest_is_no_event_and_a_table_that_is_pushed_is():
@@ -85,13 +86,13 @@ def test_a_count_that_flips_at_rest_is_no_event_and_a_table_that_is_pushed_is():
     position = np.tile(count * np.floor(0.25 * np.arange(SAMPLES)), (LANES, 1))
     position[:, 7_900:8_100] = position[:, 7_900:7_901] + count * (np.arange(200) % 2)
     off[0, 8_000:8_010] = 3.3
-    assert least_foreseen(fitted(off)).decades < CHANCE
+    assert least_foreseen(fitted(off)).decades < np.log10(CHANCE)
     assert downgraded_by_event(NONE, fitted(off, position=position, resolution=count)) == NONE
     pushed = position.copy()
     pushed[0, 8_000:8_010] += 2.0 * count
-    assert least_foreseen(fitted(off, position=pushed, resolution=count)).decades < CHANCE
+    assert least_foreseen(fitted(off, position=pushed, resolution=count)).decades < np.log10(CHANCE)
     off[0, 8_000:8_010] = 4.8  # two neighbours, and neither is where it is foreseen
-    assert least_foreseen(fitted(off, position=position, resolution=count)).decades < CHANCE
+    assert least_foreseen(fitted(off, position=position, resolution=count)).decades < np.log10(CHANCE)
 
 
 def test_a_log_shorter_than_a_moment_has_its_chance_too():

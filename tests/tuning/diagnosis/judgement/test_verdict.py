@@ -5,6 +5,7 @@ import pytest
 
 from tests.support.fake_fits import fake_fit
 from tuning.diagnosis.judgement import verdict
+from tuning.diagnosis.levels import COLDEST
 from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Round
 
@@ -162,7 +163,7 @@ def test_what_is_enough_is_no_step_where_it_is_much(leaving):
     assert second(9000.0, 4000.0) > 0.95
     assert second(1000.0, 4000.0) < 0.1
     assert second(52.0, 12.0) > 0.95  # few are told as sharply as the fits are
-    assert second(40.0, 32.0) - second(24.0, 32.0) == pytest.approx(0.46, abs=0.01)
+    assert second(32.0 + COLDEST, 32.0) - second(32.0 - COLDEST, 32.0) == pytest.approx(0.46, abs=0.01)
 
 
 def test_what_was_withdrawn_is_not_believed(leaving):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.perturbed_machine import catalogue, recalibrated_of
-from tuning.diagnosis.judgement.verdict import COLDEST, SOFT
-from tuning.diagnosis.levels import DECLARED, LACKING
+from tuning.diagnosis.levels import COLDEST, DECLARED, LACKING, LEFT
 from tuning.diagnosis.limits import isolability
 from tuning.diagnosis.limits.detection import (
     Answers,
@@ -45,7 +44,7 @@ def leads(mine, other, amounts):
     residual = mine @ amounts
     gained = float(residual @ residual) - ridge(mine, residual)
     lead = ridge(other, residual) - ridge(mine, residual)
-    return lead - np.log(1.0 / DECLARED) * max(COLDEST, SOFT * gained)
+    return lead - np.log(1.0 / DECLARED) * max(COLDEST, LEFT * gained)
 
 
 @pytest.mark.parametrize("alike", [0.5, 0.9])

@@ -14,9 +14,9 @@ from tuning.diagnosis.fits.goodness_of_fit import max_prior_deviation, missing_e
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidates import candidates
 from tuning.diagnosis.hypotheses.setting import Setting
-from tuning.diagnosis.levels import IMPOSSIBLE, LEFT, SLIGHT, STRAINED, WORTH
+from tuning.diagnosis.levels import COARSE, DETAILS, IMPOSSIBLE, LACKING, LEFT, STRAINED, WORTH
 from tuning.diagnosis.selection import explain, refit, search
-from tuning.diagnosis.selection.explain import AGAIN, RELIEF, RESOLVING, SLIGHTER, _further, evidence_needed
+from tuning.diagnosis.selection.explain import _further, evidence_needed
 from tuning.diagnosis.selection.refit import refit_rivals, to_its_end
 from tuning.diagnosis.selection.search import CLOSE, SETTLED, Round, _again, _ranked
 
@@ -33,10 +33,10 @@ pytestmark = pytest.mark.usefixtures("no_filter_lost")
     ("before", "strain_then", "ended", "whole", "enough"),
     [
         (0.0, 0.0, False, False, WORTH),
-        (1e4, 0.0, False, False, SLIGHT * 1e4),
-        (1e4, 0.0, False, True, RESOLVING),  # a small effect beside a large one, if nothing is left then
+        (1e4, 0.0, False, False, DETAILS * 1e4),
+        (1e4, 0.0, False, True, LACKING),  # a small effect beside a large one, if nothing is left then
         (100.0, 0.0, False, True, WORTH),
-        (1e4, 0.0, True, True, RELIEF),
+        (1e4, 0.0, True, True, LACKING),
         (1e4, 5.0, True, True, WORTH),  # it says why a nominal parameter had to be moved
     ],
 )
@@ -52,12 +52,12 @@ def test_what_one_more_effect_must_bring(monkeypatch, before, strain_then, ended
 @pytest.mark.parametrize(
     ("sudden", "gained", "ended", "whole", "coarse", "enough"),
     [
-        (5e3, 0.0, False, False, False, SLIGHTER * 5e3),
-        (5e3, 0.0, False, True, False, SLIGHTER * 5e3),  # which explains it all
-        (5e3, 0.0, True, True, False, SLIGHTER * 5e3),
-        (60.0, 0.0, True, True, False, RELIEF),
-        (5e3, 600.0, False, False, True, SLIGHTER * 5e3),  # and beside a coarse effect no more than that
-        (500.0, 2e3, False, False, True, SLIGHTER * 2e3),
+        (5e3, 0.0, False, False, False, COARSE * 5e3),
+        (5e3, 0.0, False, True, False, COARSE * 5e3),  # which explains it all
+        (5e3, 0.0, True, True, False, COARSE * 5e3),
+        (60.0, 0.0, True, True, False, LACKING),
+        (5e3, 600.0, False, False, True, COARSE * 5e3),  # and beside a coarse effect no more than that
+        (500.0, 2e3, False, False, True, COARSE * 2e3),
     ],
 )
 def test_a_detail_of_the_sudden_force_between_snapshots_is_no_effect(
@@ -74,12 +74,12 @@ def test_a_detail_of_the_sudden_force_between_snapshots_is_no_effect(
 def test_impossible_parameters_are_explained_by_what_brings_them_back():
     before = fake_fit(evidence=0.0, max_prior_deviation=10.0)
     believed = fake_fit(evidence=5000.0)
-    gain = fake_fit("force_gain", evidence=100.0, max_prior_deviation=1.0)  # SLIGHT of what the strain gained: allowed
+    gain = fake_fit("force_gain", evidence=100.0, max_prior_deviation=1.0)  # DETAILS of what the strain gained: allowed
     cogging = fake_fit("cogging", evidence=-150.0, max_prior_deviation=9.0)
     looked = _ranked(before, believed, [], [cogging, gain])
     assert names(looked) == ["force_gain", "cogging"]
     assert looked.rivals == 1
-    assert looked.allowance == SLIGHT * 5000.0
+    assert looked.allowance == DETAILS * 5000.0
     for fits in (
         [cogging],
         [cogging, fake_fit("force_gain", evidence=300.0, max_prior_deviation=1.0)],
@@ -136,7 +136,7 @@ def test_what_elements_take_over_is_not_brought_back_by_them(monkeypatch):
     monkeypatch.setattr(explain, "is_complete", lambda *_: False)
     base, dwell = fake_fit(evidence=0.0), strained("friction_dwell", evidence=-5000.0, by=4.5)
     elements = strained("friction_dwell", "presliding_hysteresis", evidence=-5020.0, by=4.5)
-    assert evidence_needed(None, base, dwell, False, [elements]) == pytest.approx(SLIGHT * 5000.0)
+    assert evidence_needed(None, base, dwell, False, [elements]) == pytest.approx(DETAILS * 5000.0)
     back = strained("friction_dwell", "cogging", evidence=-5020.0, by=1.0)
     assert evidence_needed(None, base, dwell, False, [back]) == WORTH
     before, believed = strained(evidence=0.0, by=7.0), fake_fit(evidence=2000.0)
@@ -149,7 +149,7 @@ def test_what_elements_take_over_is_not_brought_back_by_them(monkeypatch):
     assert relieves(fake_fit("cogging", evidence=0.0, max_prior_deviation=1.0), before, IMPOSSIBLE)
 
 
-@pytest.mark.parametrize("share", [0.5 * AGAIN, 1.5 * AGAIN])
+@pytest.mark.parametrize("share", [0.5 * COARSE, 1.5 * COARSE])
 def test_what_a_fit_gains_by_going_on_is_not_credited_to_an_effect(monkeypatch, share):
     """Where that is much of what the effect seemed to explain, everything is looked at again from there."""
     stopped, further = fake_fit(evidence=0.0), fake_fit(evidence=-1000.0 * share)
@@ -165,7 +165,7 @@ def test_what_a_fit_gains_by_going_on_is_not_credited_to_an_effect(monkeypatch, 
     monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
     monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: further if before is stopped else None)
     found = explain.explain(None, stopped, [], lambda *_: None, most=1)
-    again = share > AGAIN
+    again = share > COARSE
     assert looks == [stopped, further][: 1 + again]
     assert names(found.rounds[0]) == ["backlash" if again else "cogging"]
     assert found.base is found.rounds[0].before is further
@@ -221,15 +221,15 @@ def test_the_details_of_an_effect_within_the_filter_may_bring_more(monkeypatch, 
     monkeypatch.setattr(explain, "is_complete", lambda *_: True)
     best = fake_fit("backlash", evidence=-1e4, coarse=True, max_prior_deviation=4.5)
     fits = [fake_fit("cogging", evidence=-2e4, max_prior_deviation=4.2)]
-    assert evidence_needed(None, fake_fit(evidence=0.0), best, ended, fits) == SLIGHTER * 1e4
-    assert evidence_needed(None, fake_fit(evidence=10.0 - 1e4), best, True, fits) == RELIEF
+    assert evidence_needed(None, fake_fit(evidence=0.0), best, ended, fits) == COARSE * 1e4
+    assert evidence_needed(None, fake_fit(evidence=10.0 - 1e4), best, True, fits) == LACKING
 
 
 def test_where_the_filter_was_lost_all_along_a_second_effect_must_bring_more(monkeypatch):
     monkeypatch.setattr(explain, "is_complete", lambda *_: False)
     monkeypatch.setattr(explain, "blind", lambda *_: True)
     base, best = fake_fit(evidence=0.0), fake_fit("cogging", evidence=-1e4)
-    assert evidence_needed(None, base, best, False, [fake_fit("backlash", evidence=-2e4)]) == SLIGHTER * 1e4
+    assert evidence_needed(None, base, best, False, [fake_fit("backlash", evidence=-2e4)]) == COARSE * 1e4
 
 
 def test_a_fit_that_leads_to_no_machine_that_can_be_is_not_gone_on_with(monkeypatch):
@@ -320,7 +320,7 @@ def test_an_effect_is_held_against_the_sudden_force_that_does_without_it_between
     assert explained.base is further
     assert (explained.best is found) == snapshots
     if snapshots:
-        assert explained.rounds[0].enough == SLIGHTER * 1e3
+        assert explained.rounds[0].enough == COARSE * 1e3
 
 
 @pytest.mark.parametrize("base", [1e4, np.inf])

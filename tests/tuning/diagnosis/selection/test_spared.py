@@ -3,7 +3,7 @@
 import pytest
 
 from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F401
-from tuning.diagnosis.levels import SLIGHT, WORTH
+from tuning.diagnosis.levels import DETAILS, WORTH
 from tuning.diagnosis.selection import explain
 from tuning.diagnosis.selection.explain import _Search
 from tuning.diagnosis.selection.explanation import Explanation
@@ -39,7 +39,7 @@ def stepwise(monkeypatch, alone):
 
 @pytest.mark.parametrize(
     ("alone", "kept"),
-    [(-23_900.0, False), (-24_000.0 + 0.9 * SLIGHT * 24_000.0, False), (-22_000.0, True), (None, True)],
+    [(-23_900.0, False), (-24_000.0 + 0.9 * DETAILS * 24_000.0, False), (-22_000.0, True), (None, True)],
 )
 def test_what_was_found_first_is_dropped_where_what_came_after_explains_as_much_alone(monkeypatch, alone, kept):
     found, asked = stepwise(monkeypatch, alone)

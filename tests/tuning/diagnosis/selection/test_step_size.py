@@ -41,7 +41,7 @@ def test_steps_are_halved_until_the_likelihood_no_longer_depends_on_them(in_long
 def test_no_step_is_shorter_than_the_simulator_needs(in_long_steps, monkeypatch):
     long, there = in_long_steps
     monkeypatch.setattr("tuning.diagnosis.selection.step_size.WORTH", 0.0)
-    monkeypatch.setattr("tuning.diagnosis.selection.step_size.SLIGHT", 0.0)
+    monkeypatch.setattr("tuning.diagnosis.selection.step_size.DETAILS", 0.0)
     finer, _ = with_step_short_enough(long, there)
     step = finer.logged.sampling.period / finer.logged.sampling.plant_steps
     assert LONGEST_SUBSTEP / 2 < step <= LONGEST_SUBSTEP

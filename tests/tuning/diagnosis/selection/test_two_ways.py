@@ -8,7 +8,7 @@ import pytest
 from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F401
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.judgement import verdict
-from tuning.diagnosis.levels import IMPOSSIBLE, SLIGHT, WORTH
+from tuning.diagnosis.levels import DETAILS, IMPOSSIBLE, WORTH
 from tuning.diagnosis.selection import explain, refit
 from tuning.diagnosis.selection.explain import _credibly, _searched_beside
 from tuning.diagnosis.selection.explanation import Explanation, is_better, other_first
@@ -57,7 +57,7 @@ def test_no_end_with_numbers_that_cannot_be_is_better_than_one_that_can():
     assert is_better(base, impossible, fake_fit(evidence=-100.0, max_prior_deviation=8.0))
     for lacks, better in ((0.9, True), (1.1, False)):
         far = fake_fit(evidence=-1000.0, max_prior_deviation=9.0)
-        near = fake_fit(evidence=-1000.0 + lacks * SLIGHT * 6000.0, max_prior_deviation=5.0)
+        near = fake_fit(evidence=-1000.0 + lacks * DETAILS * 6000.0, max_prior_deviation=5.0)
         assert is_better(base, near, far) == better
     assert not is_better(base, fake_fit(evidence=-999.0), fake_fit(evidence=-1000.0))
     soft = fake_fit(
@@ -153,7 +153,7 @@ def far_and_near(monkeypatch, evidence, max_prior_deviation):
 def test_numbers_that_cannot_be_are_given_up_where_the_files_own_lead_nearly_as_far(
     monkeypatch, evidence, max_prior_deviation, taken
 ):
-    """What they told is 5000 here, of which SLIGHT is 200."""
+    """What they told is 5000 here, of which DETAILS is 250."""
     fitter, far = far_and_near(monkeypatch, evidence, max_prior_deviation)
     found = _credibly(fitter, far)
     if not taken:

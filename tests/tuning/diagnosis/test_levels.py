@@ -1,0 +1,31 @@
+"""The levels of the diagnosis follow from what they are said to follow from."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from tuning.diagnosis.hypotheses.candidates import CATALOGUE
+from tuning.diagnosis.hypotheses.setting import Setting
+from tuning.diagnosis.levels import BLOWS, CHANCE, COLDEST, DECLARED, EFFECTS, LACKING, WORTH
+
+SETTING = Setting(100.0, 70.0, 4e-4, 2e3, 0.0, 3e-6, 5e-4, 9.0, -0.02, 0.02, 0.06, 200.0, 200.0)
+
+
+def test_two_forces_gain_by_chance_what_counts_as_missing_once_in_a_million():
+    assert chi2.sf(LACKING, 2) == pytest.approx(CHANCE)
+
+
+def test_a_sample_at_which_the_filter_is_lost_is_missing_by_itself():
+    assert BLOWS > LACKING
+
+
+def test_what_an_effect_must_bring_leaves_none_of_all_that_are_tried_likelier_than_is_declared():
+    """Odds of 20 to 1 against all effects of the catalogue together."""
+    names = {make(SETTING).name for make in CATALOGUE}
+    assert len(names) == EFFECTS
+    none = np.exp(0.5 * WORTH) / EFFECTS
+    assert 1.0 / (1.0 + none) == pytest.approx(DECLARED)
+
+
+def test_a_rival_that_lacks_what_counts_as_missing_is_not_declared():
+    assert np.exp(-LACKING / COLDEST) == pytest.approx(DECLARED)
