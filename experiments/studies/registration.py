@@ -17,7 +17,7 @@ from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.gap.gap import drive_of
 from tuning.diagnosis.hypotheses.calibration import NAMES, TOLERANCE
-from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.catalogue import candidates
 from tuning.diagnosis.hypotheses.model import Member, Model, counted_in
 from tuning.diagnosis.hypotheses.priors import Parameter
 from tuning.diagnosis.hypotheses.setting import setting

@@ -12,7 +12,7 @@ from diffdrive.numerics.arrays import as_arrays
 from tests.support.sound_log import DRIVE, RATE, simulate_log, two_sines
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.hypotheses.calibration import LOGARITHMS, TOLERANCE, calibrated
-from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.catalogue import candidates
 from tuning.diagnosis.hypotheses.model import Logged
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.selection.search import recalibrated

@@ -41,7 +41,7 @@ from tuning.diagnosis.gap.splitting import Split
 from tuning.diagnosis.gap.where import Region, localise
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
 from tuning.diagnosis.hypotheses.candidate import Candidate
-from tuning.diagnosis.hypotheses.candidates import candidates, given
+from tuning.diagnosis.hypotheses.catalogue import candidates, given
 from tuning.diagnosis.hypotheses.excitation import excitation_deficits
 from tuning.diagnosis.hypotheses.model import Logged, Member, counted_in, thinned
 from tuning.diagnosis.hypotheses.setting import setting

@@ -22,7 +22,7 @@ from tuning.diagnosis.as_json import as_json
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.gap.gap import LoopGap
 from tuning.diagnosis.hypotheses.calibration import DELAY, FORCE, NAMES
-from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.catalogue import candidates
 from tuning.diagnosis.hypotheses.model import Member, Model
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.selection.stages import Stage

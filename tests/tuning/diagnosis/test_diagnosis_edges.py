@@ -24,7 +24,7 @@ from tuning.diagnosis.diagnose import diagnose, logged_of
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.gap.gap import drive_of, loop_gap
 from tuning.diagnosis.hypotheses.calibration import NAMES
-from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.catalogue import candidates
 from tuning.diagnosis.hypotheses.model import Member, Model, effect_in_lanes, signals_along
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.judgement.verdict import _probabilities

@@ -27,8 +27,8 @@ from tuning.diagnosis.fits.intervals import parameters
 from tuning.diagnosis.fits.reference_noise import lost_samples
 from tuning.diagnosis.gap.gap import drive_of
 from tuning.diagnosis.hypotheses.calibration import NAMES, TOLERANCE
-from tuning.diagnosis.hypotheses.candidates import candidates
-from tuning.diagnosis.hypotheses.candidates import given as those_given
+from tuning.diagnosis.hypotheses.catalogue import candidates
+from tuning.diagnosis.hypotheses.catalogue import given as those_given
 from tuning.diagnosis.hypotheses.model import Member, Model, effect_in_lanes, signals_along
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.selection.screening import begin, joined

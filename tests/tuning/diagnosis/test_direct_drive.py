@@ -17,7 +17,7 @@ from experiments.studies import laas
 from tests.support.sound_log import simulate_log
 from tuning.diagnosis.diagnose import diagnose
 from tuning.diagnosis.hypotheses.candidate import Candidate
-from tuning.diagnosis.hypotheses.candidates import _cogging, _strong_cogging
+from tuning.diagnosis.hypotheses.candidates import cogging, strong_cogging
 from tuning.diagnosis.hypotheses.priors import Parameter
 from tuning.diagnosis.selection.screening import Screened
 from tuning.diagnosis.selection.search import _likeliest, _promising
@@ -66,7 +66,7 @@ def test_a_wave_many_times_the_friction_is_cogging_and_no_error_of_the_scale():
 
 def test_of_two_sizes_of_one_kind_only_the_likelier_is_fitted():
     at = SimpleNamespace(friction=1.0, command=30.0, low=0.0, high=0.1)
-    usual, strong = _cogging(at), _strong_cogging(at)
+    usual, strong = cogging(at), strong_cogging(at)
     assert usual.kind == strong.kind
     gain = Candidate(ForceGain, (Parameter("gain", 0.0, 0.15),))
     screened = [

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tuning.diagnosis.hypotheses.candidates import CATALOGUE
+from tuning.diagnosis.hypotheses.catalogue import CATALOGUE
 from tuning.diagnosis.hypotheses.setting import Setting
 from tuning.diagnosis.levels import BLOWS, CHANCE, COLDEST, DECLARED, EFFECTS, LACKING, WORTH
 

@@ -19,7 +19,7 @@ from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.gap.where import Region
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
-from tuning.diagnosis.hypotheses.candidates import candidates as hypotheses
+from tuning.diagnosis.hypotheses.catalogue import candidates as hypotheses
 from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.next_experiment import next_experiment

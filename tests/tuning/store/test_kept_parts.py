@@ -22,7 +22,7 @@ from tests.support.sound_log import DRIVE
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.hypotheses.calibration import TOLERANCE
-from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.catalogue import candidates
 from tuning.diagnosis.hypotheses.priors import ITSELF, LOG_ODDS, LOGARITHM, Parameter
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.selection.search import recalibrated, select_next_effect

@@ -12,7 +12,7 @@ from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of, re
 from tests.support.sound_log import DRIVE, RATE
 from tuning.diagnosis.fits.goodness_of_fit import is_complete, max_prior_deviation, power_left
 from tuning.diagnosis.hypotheses.calibration import NAMES, TOLERANCE
-from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.catalogue import candidates
 from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.levels import LACKING, STRAINED

@@ -19,7 +19,7 @@ from tuning.diagnosis.fits.curvature import FARTHEST
 from tuning.diagnosis.fits.fitting import LEAST, Fitter
 from tuning.diagnosis.fits.goodness_of_fit import max_prior_deviation, missing_evidence
 from tuning.diagnosis.hypotheses.calibration import LOGARITHMS, NAMES, TOLERANCE, calibrated, tolerated
-from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.catalogue import candidates
 from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.judgement.events import least_foreseen

@@ -17,7 +17,7 @@ from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME
 from tuning.diagnosis.gap.gap import ForceGap
 from tuning.diagnosis.gap.lines import lines_in_position, lines_in_time, told_apart
 from tuning.diagnosis.gap.where import FAINT, SIGNIFICANT, Region, localise, ranked
-from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.catalogue import candidates
 from tuning.diagnosis.hypotheses.excitation import excitation_deficits
 from tuning.diagnosis.hypotheses.setting import Setting, setting
 from tuning.diagnosis.selection.starting_points import starting_points

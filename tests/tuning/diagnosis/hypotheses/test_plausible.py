@@ -9,7 +9,7 @@ from diffdrive.model.parameters import Sensor
 from tests.support.sound_log import DRIVE, RATE, SOUND, simulate_log, two_sines
 from tuning.diagnosis.diagnose import logged_of
 from tuning.diagnosis.hypotheses.calibration import NAMES
-from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.catalogue import candidates
 from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.selection.screening import begin, joined

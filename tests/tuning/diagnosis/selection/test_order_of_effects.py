@@ -12,7 +12,7 @@ from tuning.diagnosis.fits import goodness_of_fit
 from tuning.diagnosis.fits.fitting import MOST_STEPS
 from tuning.diagnosis.fits.goodness_of_fit import max_prior_deviation, missing_evidence, relieves, unexplained
 from tuning.diagnosis.hypotheses.calibration import NAMES
-from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.catalogue import candidates
 from tuning.diagnosis.hypotheses.setting import Setting
 from tuning.diagnosis.levels import COARSE, DETAILS, IMPOSSIBLE, LACKING, LEFT, STRAINED, WORTH
 from tuning.diagnosis.selection import explain, refit, search

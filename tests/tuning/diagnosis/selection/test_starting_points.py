@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tuning.diagnosis.hypotheses.candidates import candidates
+from tuning.diagnosis.hypotheses.catalogue import candidates
 from tuning.diagnosis.hypotheses.harmonics import at_its_root
 from tuning.diagnosis.hypotheses.setting import Setting
 from tuning.diagnosis.selection.starting_points import starting_points
