@@ -32,7 +32,7 @@ def no_filter_lost(monkeypatch):
     """No filter is lost, and no effect can be done without."""
     monkeypatch.setattr(explain, "drop_effect", lambda *_: None)
     for module in (explain, goodness_of_fit):
-        monkeypatch.setattr(module, "blind", lambda *_: False)
+        monkeypatch.setattr(module, "is_lost_throughout", lambda *_: False)
 
 
 def names(looked):

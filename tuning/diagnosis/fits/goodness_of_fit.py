@@ -91,7 +91,7 @@ def is_complete(fitter: Fitter, fitted: Fitted) -> bool:
     return lost_samples(fitted) <= FEW_LOST and missing_evidence(fitter, fitted) <= LACKING  # a blow is more than that
 
 
-def blind(fitter: Fitter, base: Fitted) -> bool:
+def is_lost_throughout(fitter: Fitter, base: Fitted) -> bool:
     """Whether a filter that trusts the recalibrated drive is lost all along, so that its cost says little."""
     return lost_share(fitter, base, least_trusted(fitter)) > BLIND
 
@@ -102,7 +102,7 @@ def power_left(base: Fitted, fitted: Fitted) -> float:
     return float(np.sum(fitted.process_noise[:last] ** 2) / np.sum(base.process_noise[:last] ** 2))
 
 
-def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
+def share_left(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
     """Share of what the recalibrated drive is missing that a fit leaves.
 
     The details of a coarse effect differ from machine to machine: they leave little force, plain as it may be to see.
@@ -113,7 +113,7 @@ def unexplained(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
     if not np.isfinite(after):
         return 1.0
     share = after / before if np.isfinite(before) else power_left(base, fitted)
-    if fitted.model.coarse or blind(fitter, base):
+    if fitted.model.coarse or is_lost_throughout(fitter, base):
         share = min(share, power_left(base, fitted))
     if fitted.model.coarse and BLOWS * lost_samples(base) > MOSTLY * before:
         share = min(share, lost_samples(fitted) / lost_samples(base))
@@ -128,7 +128,7 @@ def comparable_parameters(*fits: Fitted) -> Sequence[str]:
     return SLIDING if PreslidingHysteresis.name in there else NAMES
 
 
-def relieves(one: Fitted, other: Fitted, most: float = STRAINED) -> bool:
+def restores_nominal(one: Fitted, other: Fitted, most: float = STRAINED) -> bool:
     """Whether one fit leaves no nominal parameter moved beyond `most` where another does, of those that mean the same
     in both.
     """
@@ -143,7 +143,7 @@ def is_plausible(fitted: Fitted) -> bool:
 
 def is_implausible(one: Fitted, other: Fitted) -> bool:
     """Whether one fit rests on numbers that cannot be, where the other does without."""
-    return relieves(other, one, IMPOSSIBLE) or (is_plausible(other) and not is_plausible(one))
+    return restores_nominal(other, one, IMPOSSIBLE) or (is_plausible(other) and not is_plausible(one))
 
 
 def max_prior_deviation(fitted: Fitted, among: Sequence[str] | None = None) -> float:

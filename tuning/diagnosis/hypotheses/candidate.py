@@ -75,7 +75,7 @@ class Candidate(NamedTuple):
         """Whether it may act though no force is missing: nominal parameters make up for it, it passes for noise, or it
         acts at a few samples only.
         """
-        return self.relieves or self.noisy or self.effect is actuator.ForceLimit
+        return self.absorbable or self.noisy or self.effect is actuator.ForceLimit
 
     @property
     def noisy(self) -> bool:
@@ -83,7 +83,7 @@ class Candidate(NamedTuple):
         return issubclass(self.effect, ScaleEffect)
 
     @property
-    def relieves(self) -> bool:
+    def absorbable(self) -> bool:
         """Whether nominal parameters, moved far, could do the same."""
         alike = (MachineEffect, actuator.ForceGain, friction.AppliedLoad, forces.ConstantForce)
         return issubclass(self.effect, alike)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tuning.diagnosis.fits.goodness_of_fit import is_plausible, relieves
+from tuning.diagnosis.fits.goodness_of_fit import is_plausible, restores_nominal
 from tuning.diagnosis.judgement.ladder import ModelComparison, known_floor
 from tuning.diagnosis.judgement.verdict import Verdict
 from tuning.diagnosis.levels import DETAILS, IMPOSSIBLE, SURELY, WORTH
@@ -61,7 +61,7 @@ def is_hidden(found: Explanation) -> bool:
     file decides.
     """
     told = float(found.base.filtered.deviance) - float(found.best.filtered.deviance)
-    return told < WORTH and relieves(found.best, found.base)
+    return told < WORTH and restores_nominal(found.best, found.base)
 
 
 def gap_reductions(found: Explanation, comparisons: list[ModelComparison], rate: float) -> list[float | None]:
@@ -143,7 +143,7 @@ def fails_validation(more: ModelComparison, fewer: ModelComparison, gained: floa
         return True
     if not np.all(np.isfinite(fewer.unlikely)):
         return False
-    if relieves(more.fitted, fewer.fitted, IMPOSSIBLE):
+    if restores_nominal(more.fitted, fewer.fitted, IMPOSSIBLE):
         return False
     worse = more.unlikely - fewer.unlikely
     return bool(worse.sum() > max(WORTH, DETAILS * gained, SURELY * np.sqrt(worse.size) * np.std(worse)))

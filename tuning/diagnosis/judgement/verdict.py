@@ -19,8 +19,8 @@ from tuning.diagnosis.fits.goodness_of_fit import (
     is_implausible,
     largest_deviation_says,
     max_prior_deviation,
-    relieves,
-    unexplained,
+    restores_nominal,
+    share_left,
 )
 from tuning.diagnosis.levels import COARSE, COLDEST, DECLARED, DETAILS, IMPOSSIBLE, LEFT, STRAINED
 from tuning.diagnosis.selection.explanation import Explanation
@@ -179,7 +179,7 @@ def judge(
     base, best = found.base, found.best
     effects = best.model.added
     incomplete = not is_complete(fitter, base)
-    share = unexplained(fitter, base, best) if incomplete else 0.0
+    share = share_left(fitter, base, best) if incomplete else 0.0
     told, gap = share, "the gap"
     if incomplete and best.model.coarse and in_loop is not None:
         told, gap, closes = in_loop, "the gap in closed loop", ()  # a filter's share of force tells nothing then
@@ -232,7 +232,7 @@ def _nothing_found(base: Fitted, beliefs: list[Belief], incomplete: bool) -> Ver
 
 def _beyond_no_gap(found: Explanation, named: str) -> str:
     """What is said of effects where recalibration leaves no gap: why it moved a number far, or what else they bring."""
-    if relieves(found.best, found.base):
+    if restores_nominal(found.best, found.base):
         return f"recalibration hides the gap: {largest_deviation_says(found.base)}, which {named} makes needless"
     return f"the recalibrated drive explains the logs to the noise, and with {named} they are likelier still"
 

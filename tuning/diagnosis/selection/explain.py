@@ -10,13 +10,13 @@ from tuning.diagnosis.fits.curvature import limited, solved
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import NEAR, Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
-    blind,
     is_complete,
     is_implausible,
+    is_lost_throughout,
     max_prior_deviation,
-    relieves,
+    restores_nominal,
+    share_left,
     sudden_force_evidence,
-    unexplained,
 )
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.candidate import Candidate
@@ -27,7 +27,7 @@ from tuning.diagnosis.selection.refit import drop_effect, refit_from_nominal, se
 from tuning.diagnosis.selection.search import (
     Progress,
     Round,
-    apart_from,
+    excluding,
     first_of_each,
     is_sufficient,
     select_next_effect,
@@ -37,7 +37,7 @@ from tuning.diagnosis.selection.stages import Tell, of_round, unheard
 MOST_EFFECTS = 2
 
 
-def _further(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted | None:
+def _refit_without_last(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted | None:
     """`before` from where the best fit with one effect more ended, if that effect was not what made it better.
 
     A fit that stopped on its way leaves something to explain to any effect that sets it going again.
@@ -75,13 +75,13 @@ def evidence_needed(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fit
     Less than a share of what was explained before may be a detail of that: of what effects explain and, of snapshots,
     of what the sudden force between them does. That force is as coarse a model as any effect whose details differ.
     """
-    if fits and relieves(fits[0], best):
+    if fits and restores_nominal(fits[0], best):
         return WORTH
     model, gained = best.model, base.evidence - best.evidence
     sudden = COARSE * sudden_force_evidence(fitter, best)
     if ended and not model.coarse:
         return max(LACKING, sudden)
-    slight = COARSE if model.coarse or blind(fitter, base) else DETAILS
+    slight = COARSE if model.coarse or is_lost_throughout(fitter, base) else DETAILS
     enough = max(LACKING if ended else WORTH, slight * gained)
     if fits and not model.coarse and is_complete(fitter, fits[0]):
         enough = min(enough, LACKING)
@@ -97,7 +97,7 @@ def is_looked_for(one: Candidate, logged: Logged, by_second_encoder: bool, moved
     """
     if one.twists and by_second_encoder:
         return True
-    if one.relieves and not moved and float(logged.command_std) > 0.0:
+    if one.absorbable and not moved and float(logged.command_std) > 0.0:
         return False
     return one.unseen
 
@@ -113,87 +113,89 @@ class _Search:
 
     def left(self, base: Fitted, one: Fitted) -> float:
         """The share of the gap that a fit leaves."""
-        return 0.0 if is_complete(self.fitter, one) else unexplained(self.fitter, base, one)
+        return 0.0 if is_complete(self.fitter, one) else share_left(self.fitter, base, one)
 
-    def over(self, base: Fitted, one: Fitted) -> bool:
+    def is_explained(self, base: Fitted, one: Fitted) -> bool:
         """Whether nothing is missing any more but details."""
         return is_sufficient(one, partial(self.left, base)) if one.model.coarse else is_complete(self.fitter, one)
 
-    def done(self, base: Fitted, one: Fitted) -> bool:
+    def is_settled(self, base: Fitted, one: Fitted) -> bool:
         """Whether there is nothing left to explain, neither a force nor a number moved far."""
-        return self.over(base, one) and max_prior_deviation(one) < STRAINED
+        return self.is_explained(base, one) and max_prior_deviation(one) < STRAINED
 
     def hides_in_sudden_force(self, base: Fitted, one: Fitted) -> bool:
         """Whether nothing is missing, but between snapshots, where a sudden force may stand for the effects that were
         fitted: they are held against it as they are, since nothing would be looked for beside it.
         """
-        return one.model.logged.of_snapshots and self.over(base, one)
+        return one.model.logged.of_snapshots and self.is_explained(base, one)
 
-    def standing(self, base: Fitted, one: Fitted) -> tuple[bool, ...]:
+    def state(self, base: Fitted, one: Fitted) -> tuple[bool, ...]:
         """What decides how the search goes on."""
-        return self.over(base, one), max_prior_deviation(one) >= STRAINED, max_prior_deviation(one) > IMPOSSIBLE
+        return self.is_explained(base, one), max_prior_deviation(one) >= STRAINED, max_prior_deviation(one) > IMPOSSIBLE
 
-    def looked(self, base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]) -> Round:
+    def next_round(
+        self, base: Fitted, before: Fitted, catalogue: Sequence[Candidate], rounds: Sequence[Round]
+    ) -> Round:
         """One more effect looked for; where nothing is missing any more, not all are (`is_looked_for`)."""
-        done, logged = self.done(base, before), before.model.logged
+        done, logged = self.is_settled(base, before), before.model.logged
         if rounds and done:
             catalogue = [one for one in catalogue if one.noisy]
-        elif self.over(base, before):
+        elif self.is_explained(base, before):
             seen = self.fitter.twist is not None
             catalogue = [one for one in catalogue if is_looked_for(one, logged, seen, not done)]
         known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
         found = select_next_effect(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
-        self.tell(of_round(self.weighed(base, found)))
+        self.tell(of_round(self.with_evidence_needed(base, found)))
         return found
 
-    def ended(self, base: Fitted, best: Fitted) -> bool:
+    def needs_no_other(self, base: Fitted, best: Fitted) -> bool:
         """Whether nothing at all is looked for beside what was found. An error of the scale is, but not beside what is
         stepped within the filter, where it costs much.
         """
-        return self.done(base, best) and best.model.coupled
+        return self.is_settled(base, best) and best.model.coupled
 
     def forward_selection(
         self, base: Fitted, rounds: list[Round], best: Fitted, catalogue: Sequence[Candidate]
     ) -> Explanation:
         """What was found before and, of this catalogue, what is found beside it."""
-        while len(rounds) < self.most and not (rounds and self.ended(base, best)):
-            found = self.looked(base, best, catalogue, rounds)
-            further = _further(self.fitter, best, found.fits)
+        while len(rounds) < self.most and not (rounds and self.needs_no_other(base, best)):
+            found = self.next_round(base, best, catalogue, rounds)
+            further = _refit_without_last(self.fitter, best, found.fits)
             if further is not None:
                 from_there = base if rounds else further
                 gained, explained = best.evidence - further.evidence, best.evidence - found.fits[0].evidence
-                again = gained > COARSE * explained or self.standing(base, best) != self.standing(from_there, further)
+                again = gained > COARSE * explained or self.state(base, best) != self.state(from_there, further)
                 again = again and not self.hides_in_sudden_force(from_there, further)
                 base, best = from_there, further
                 if rounds:
                     rounds = [*rounds[:-1], rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])]
-                    if self.ended(base, best):
+                    if self.needs_no_other(base, best):
                         break
-                found = self.looked(base, best, catalogue, rounds) if again else found._replace(before=best)
-            found = self.weighed(base, found)
+                found = self.next_round(base, best, catalogue, rounds) if again else found._replace(before=best)
+            found = self.with_evidence_needed(base, found)
             rounds = [*rounds, found]
             if not found.worth_it:
                 break
             best = found.fits[0]
         return Explanation(base, rounds, best)
 
-    def weighed(self, base: Fitted, looked: Round) -> Round:
+    def with_evidence_needed(self, base: Fitted, looked: Round) -> Round:
         """The round with the evidence that its first effect has to bring."""
-        ended = self.over(base, looked.before)
+        ended = self.is_explained(base, looked.before)
         return looked._replace(enough=evidence_needed(self.fitter, base, looked.before, ended, looked.fits))
 
-    def to_its_best(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
+    def refined(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
         """The end of a search with what was searched for early searched for again, with numbers that can be, and
         without what the others can do without, from where the search goes on. Once: not again for what is found then.
         """
         if not is_complete(self.fitter, found.best):
-            found = self.beside_the_last(found, catalogue)
-        other = self.spared(_credibly(self.fitter, found))
+            found = self.searched_again_beside_last(found, catalogue)
+        other = self.backward_elimination(_credibly(self.fitter, found))
         if other is found:
             return found
         return self.forward_selection(other.base, other.rounds[: other.best.model.added], other.best, catalogue)
 
-    def spared(self, found: Explanation) -> Explanation:
+    def backward_elimination(self, found: Explanation) -> Explanation:
         """Without an effect that the others can do without; the same object where there is none.
 
         One that is like the right one, or what had set a fit going that was stuck without it, may be found first. One
@@ -206,15 +208,15 @@ class _Search:
             if fewer is None:
                 continue
             if index == count - 1:
-                return self.credited(found, fewer)
-            if fewer.evidence - found.best.evidence >= self.bar(found.base, fewer, found.best):
+                return self.against_the_rest(found, fewer)
+            if fewer.evidence - found.best.evidence >= self.evidence_to_stay(found.base, fewer, found.best):
                 continue
-            rounds = self.rounds_but(found, index, fewer)
+            rounds = self.rounds_without(found, index, fewer)
             if rounds is not None:
                 return found._replace(rounds=rounds, best=fewer)
         return found
 
-    def credited(self, found: Explanation, fewer: Fitted) -> Explanation:
+    def against_the_rest(self, found: Explanation, fewer: Fitted) -> Explanation:
         """The last effect held against what the others explain without it, or dropped where it is not worth it then;
         the same object where they explain no more without it than they were known to.
         """
@@ -222,14 +224,14 @@ class _Search:
         if fewer.evidence >= last.before.evidence:
             return found
         before[-1] = before[-1]._replace(fits=[fewer, *before[-1].fits[1:]])
-        last = self.weighed(found.base, last._replace(before=fewer))
+        last = self.with_evidence_needed(found.base, last._replace(before=fewer))
         if is_implausible(fewer, found.best):
             last = last._replace(enough=WORTH)
         if last.worth_it:
             return found._replace(rounds=[*before, last])
         return found._replace(rounds=before, best=fewer)
 
-    def rounds_but(self, found: Explanation, index: int, fewer: Fitted) -> list[Round] | None:
+    def rounds_without(self, found: Explanation, index: int, fewer: Fitted) -> list[Round] | None:
         """The rounds without the one of that number, `fewer` being what is found without it in the end; None where what
         came after it is no machine alone. The rivals are those of both rounds that become one.
         """
@@ -247,26 +249,26 @@ class _Search:
             head = first_of_each([one, *rivals])
             fits = first_of_each([*head, *aside])
             joined = Round(before, looked.screened, fits, len(head), looked.allowance)
-            rounds = [*rounds, self.weighed(found.base, joined)]
+            rounds = [*rounds, self.with_evidence_needed(found.base, joined)]
             before, aside, beside = one, [], []
         return rounds
 
-    def bar(self, base: Fitted, fewer: Fitted, best: Fitted) -> float:
+    def evidence_to_stay(self, base: Fitted, fewer: Fitted, best: Fitted) -> float:
         """The evidence that an effect must bring beside those that were found after it."""
-        if relieves(best, fewer) or is_implausible(fewer, best):
+        if restores_nominal(best, fewer) or is_implausible(fewer, best):
             return WORTH
         enough = max(WORTH, DETAILS * (base.evidence - fewer.evidence))
         enough = min(enough, LACKING) if is_complete(self.fitter, best) else enough
         return max(enough, COARSE * sudden_force_evidence(self.fitter, fewer))
 
-    def beside_the_last(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
+    def searched_again_beside_last(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
         """What was searched for before the last effect was known searched for again beside it; without that one, and
         with what is found in its place, where the others explain as much by then.
         """
         again = _searched_beside(self.fitter, found)
         if again is found:
             return found
-        last = self.weighed(found.base, again.rounds[-1])
+        last = self.with_evidence_needed(found.base, again.rounds[-1])
         if last.worth_it:
             return again._replace(rounds=[*again.rounds[:-1], last])
         return self.forward_selection(found.base, again.rounds[:-1], last.before, catalogue)
@@ -289,15 +291,15 @@ def explain(
     as a rival.
     """
     search = _Search(fitter, progress, most, tell)
-    found = search.to_its_best(search.forward_selection(base, [], base, catalogue), catalogue)
+    found = search.refined(search.forward_selection(base, [], base, catalogue), catalogue)
     first = other_first(found)
-    if first is None or search.over(found.base, found.best):
+    if first is None or search.is_explained(found.base, found.best):
         return found
     enough = max(first.enough, COARSE * sudden_force_evidence(fitter, first.before))
     first = first._replace(fits=[to_its_end(fitter, first.fits[0]), *first.fits[1:]], enough=enough)
 
     def beside(catalogue: Sequence[Candidate]) -> Explanation:
-        return search.to_its_best(search.forward_selection(found.base, [first], first.fits[0], catalogue), catalogue)
+        return search.refined(search.forward_selection(found.base, [first], first.fits[0], catalogue), catalogue)
 
     other = beside([one for one in catalogue if one.name in found.named])
     if not is_better(found.base, other.best, found.best):
@@ -317,7 +319,7 @@ def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
     if best is found.best:
         return found
     one = found.rounds[last]
-    before = _further(fitter, one.before, [best]) or one.before
+    before = _refit_without_last(fitter, one.before, [best]) or one.before
     rounds = found.rounds[: last + 1]
     rounds[last] = one._replace(before=before, fits=[best, *one.fits[1:]])
     rounds[last - 1] = rounds[last - 1]._replace(fits=[before, *rounds[last - 1].fits[1:]])
@@ -342,7 +344,7 @@ def _credibly(fitter: Fitter, found: Explanation) -> Explanation:
     lost = max(credible[0].evidence - found.best.evidence, 0.0)
     rounds = [*found.rounds]
     rounds[last] = looked._replace(
-        fits=[*credible, *apart_from(looked.fits[1:], rivals)],
+        fits=[*credible, *excluding(looked.fits[1:], rivals)],
         rivals=len(credible),
         allowance=looked.allowance + lost,
     )

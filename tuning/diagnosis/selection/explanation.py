@@ -3,9 +3,14 @@
 from typing import NamedTuple, Optional
 
 from tuning.diagnosis.fits.fitted import Fitted
-from tuning.diagnosis.fits.goodness_of_fit import comparable_parameters, is_implausible, max_prior_deviation, relieves
+from tuning.diagnosis.fits.goodness_of_fit import (
+    comparable_parameters,
+    is_implausible,
+    max_prior_deviation,
+    restores_nominal,
+)
 from tuning.diagnosis.levels import DETAILS, STRAINED, WORTH
-from tuning.diagnosis.selection.search import Round, apart_from
+from tuning.diagnosis.selection.search import Round, excluding
 
 NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
 
@@ -60,9 +65,9 @@ def other_first(found: Explanation) -> Round | None:
         among = comparable_parameters(one, best)
         return max_prior_deviation(one, among) < max(STRAINED, max_prior_deviation(best, among))
 
-    bringing_back = [one for one in others if relieves(one, found.best)]
+    bringing_back = [one for one in others if restores_nominal(one, found.best)]
     near = [one for one in others if gain(one) > NEARLY * gain(best) and no_further(one)]
     for one in [*bringing_back, *near]:
         if gain(one) > WORTH:
-            return first._replace(fits=[one, *apart_from(first.fits, [one])], rivals=1, allowance=0.0, enough=WORTH)
+            return first._replace(fits=[one, *excluding(first.fits, [one])], rivals=1, allowance=0.0, enough=WORTH)
     return None

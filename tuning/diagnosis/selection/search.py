@@ -16,7 +16,7 @@ from diffdrive.model.uncertainty import Uncertainty
 from tuning.diagnosis.filter.effect_signals import Trajectory
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
-from tuning.diagnosis.fits.goodness_of_fit import comparable_parameters, max_prior_deviation, relieves
+from tuning.diagnosis.fits.goodness_of_fit import comparable_parameters, max_prior_deviation, restores_nominal
 from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.hypotheses.calibration import prior_root
 from tuning.diagnosis.hypotheses.candidate import Candidate
@@ -216,7 +216,7 @@ def first_of_each(fits: Iterable[Fitted]) -> list[Fitted]:
     return list(found.values())
 
 
-def apart_from(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
+def excluding(all_of: Sequence[A], some: Sequence[A]) -> list[A]:
     """All but some."""
     held = {id(one) for one in some}
     return [one for one in all_of if id(one) not in held]
@@ -240,7 +240,7 @@ def _race(
     )
     screened = sorted((one for one in found if one is not None), key=lambda one: -one.evidence)
     promising = _promising(screened)
-    promising += _bringing_back(before, known, apart_from(_likeliest(screened), promising))
+    promising += _bringing_back(before, known, excluding(_likeliest(screened), promising))
     alone = {one.model.members[-1].candidate.kind: one for one in known}
 
     def fitted(some: Sequence[Screened], done: int) -> list[Fitted]:
@@ -254,7 +254,7 @@ def _race(
     first = [one for one in promising if one.evidence >= near]
     begun = _best_of_each(fitted(first, 0))
     if not (begun and _explains_all(before, begun[0], left)):
-        begun = _best_of_each([*begun, *fitted(apart_from(promising, first), len(first))])
+        begun = _best_of_each([*begun, *fitted(excluding(promising, first), len(first))])
     begun = _best_of_each([*begun, *begun_again(fitter, before, begun)])
     gains = [before.evidence - one.evidence for one in begun]
     enough = STAYS * max(gains, default=0.0) - PROMISING
@@ -281,7 +281,7 @@ def _bringing_back(before: Fitted, known: Sequence[Fitted], others: Sequence[Scr
 
     Best first, as they were then. That parameter may stand in for one of them, and screening sees nothing left for it.
     """
-    evidence = {_name(one): one.evidence for one in known if relieves(one, before)}
+    evidence = {_name(one): one.evidence for one in known if restores_nominal(one, before)}
     found = [one for one in others if one.candidate.name in evidence]
     return sorted(found, key=lambda one: evidence[one.candidate.name])[:BACK]
 
@@ -315,7 +315,7 @@ def _ended(
         ahead,
         lambda k: progress("fitting", count + k, count + len(ahead)),
     )
-    return [*ended, *apart_from(begun, ahead)]
+    return [*ended, *excluding(begun, ahead)]
 
 
 def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Screened]:
@@ -325,7 +325,7 @@ def _about_nominal(believed: Fitted, catalogue: Sequence[Candidate]) -> list[Scr
     found.sort(key=lambda one: -one.evidence)
     found = _likeliest(found)
     few = found[:BESIDE]
-    return few + [one for one in apart_from(found, few) if one.candidate.relieves]
+    return few + [one for one in excluding(found, few) if one.candidate.absorbable]
 
 
 def _best_of_each(fits: Iterable[Fitted]) -> list[Fitted]:

@@ -24,7 +24,7 @@ from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
 from tuning.diagnosis.judgement.events import least_foreseen
 from tuning.diagnosis.levels import CHANCE, IMPOSSIBLE, LACKING, STRAINED, WORTH
-from tuning.diagnosis.selection.explain import _further, explain
+from tuning.diagnosis.selection.explain import _refit_without_last, explain
 from tuning.diagnosis.selection.first_fits import RACE, fit_from
 from tuning.diagnosis.selection.screening import _pushed, begin, joined, screen, sensitivities, tried
 from tuning.diagnosis.selection.search import initial_trajectory, recalibrated, select_next_effect
@@ -157,14 +157,14 @@ def test_a_fit_that_stopped_on_its_way_goes_on_before_an_effect_is_credited(soun
     )
     stopped = fitter.fit(base.model, base.theta + 0.2, None, initial_trajectory(fitter.logged), 0)
     assert stopped.evidence - richer.evidence > WORTH
-    further = _further(fitter, stopped, [richer])
+    further = _refit_without_last(fitter, stopped, [richer])
     assert further.evidence == pytest.approx(base.evidence, abs=2.0)
-    assert _further(fitter, base, [richer]) is None
+    assert _refit_without_last(fitter, base, [richer]) is None
     # nor does a fit go on where it is the effect that explains
     fitter, base = tilted
     tilt = next(one for one in catalogue(fitter, base) if one.name == "constant_force")
-    assert _further(fitter, base, [fit_from(fitter, base, screen(base, tilt))]) is None
-    assert _further(fitter, base, []) is None
+    assert _refit_without_last(fitter, base, [fit_from(fitter, base, screen(base, tilt))]) is None
+    assert _refit_without_last(fitter, base, []) is None
 
 
 def test_what_made_up_for_an_effect_makes_way_for_it():

@@ -16,7 +16,7 @@ def leaving(monkeypatch):
 
     def leave(share):
         monkeypatch.setattr(verdict, "is_complete", lambda *_: False)
-        monkeypatch.setattr(verdict, "unexplained", lambda *_: share)
+        monkeypatch.setattr(verdict, "share_left", lambda *_: share)
 
     return leave
 

@@ -10,13 +10,13 @@ from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F40
 from tests.support.sound_log import DRIVE
 from tuning.diagnosis.fits import goodness_of_fit
 from tuning.diagnosis.fits.fitting import MOST_STEPS
-from tuning.diagnosis.fits.goodness_of_fit import max_prior_deviation, missing_evidence, relieves, unexplained
+from tuning.diagnosis.fits.goodness_of_fit import max_prior_deviation, missing_evidence, restores_nominal, share_left
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.catalogue import candidates
 from tuning.diagnosis.hypotheses.setting import Setting
 from tuning.diagnosis.levels import COARSE, DETAILS, IMPOSSIBLE, LACKING, LEFT, STRAINED, WORTH
 from tuning.diagnosis.selection import explain, refit, search
-from tuning.diagnosis.selection.explain import _further, evidence_needed
+from tuning.diagnosis.selection.explain import _refit_without_last, evidence_needed
 from tuning.diagnosis.selection.refit import refit_rivals, to_its_end
 from tuning.diagnosis.selection.search import CLOSE, SETTLED, Round, _again, _ranked
 
@@ -145,8 +145,8 @@ def test_what_elements_take_over_is_not_brought_back_by_them(monkeypatch):
     looked = _ranked(before, believed, [], [cogging, worse])
     assert names(looked) == ["cogging", "presliding_hysteresis"]
     assert looked.allowance == 0.0
-    assert not relieves(worse, before, IMPOSSIBLE)
-    assert relieves(fake_fit("cogging", evidence=0.0, max_prior_deviation=1.0), before, IMPOSSIBLE)
+    assert not restores_nominal(worse, before, IMPOSSIBLE)
+    assert restores_nominal(fake_fit("cogging", evidence=0.0, max_prior_deviation=1.0), before, IMPOSSIBLE)
 
 
 @pytest.mark.parametrize("share", [0.5 * COARSE, 1.5 * COARSE])
@@ -162,8 +162,10 @@ def test_what_a_fit_gains_by_going_on_is_not_credited_to_an_effect(monkeypatch, 
 
     monkeypatch.setattr(explain, "select_next_effect", look)
     monkeypatch.setattr(explain, "is_complete", lambda *_: False)
-    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
-    monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: further if before is stopped else None)
+    monkeypatch.setattr(explain, "share_left", lambda *_: 1.0)
+    monkeypatch.setattr(
+        explain, "_refit_without_last", lambda fitter, before, fits: further if before is stopped else None
+    )
     found = explain.explain(None, stopped, [], lambda *_: None, most=1)
     again = share > COARSE
     assert looks == [stopped, further][: 1 + again]
@@ -227,7 +229,7 @@ def test_the_details_of_an_effect_within_the_filter_may_bring_more(monkeypatch, 
 
 def test_where_the_filter_was_lost_all_along_a_second_effect_must_bring_more(monkeypatch):
     monkeypatch.setattr(explain, "is_complete", lambda *_: False)
-    monkeypatch.setattr(explain, "blind", lambda *_: True)
+    monkeypatch.setattr(explain, "is_lost_throughout", lambda *_: True)
     base, best = fake_fit(evidence=0.0), fake_fit("cogging", evidence=-1e4)
     assert evidence_needed(None, base, best, False, [fake_fit("backlash", evidence=-2e4)]) == COARSE * 1e4
 
@@ -267,8 +269,10 @@ def test_where_going_on_leaves_nothing_no_more_is_looked_for(monkeypatch):
 
     monkeypatch.setattr(explain, "select_next_effect", look)
     monkeypatch.setattr(explain, "is_complete", lambda fitter, one: one is further)
-    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
-    monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: further if fits and len(looks) > 1 else None)
+    monkeypatch.setattr(explain, "share_left", lambda *_: 1.0)
+    monkeypatch.setattr(
+        explain, "_refit_without_last", lambda fitter, before, fits: further if fits and len(looks) > 1 else None
+    )
     found = explain.explain(None, fake_fit(evidence=0.0), offered, lambda *_: None)
     assert found.best is found.rounds[0].fits[0] is further
     everything = ["cogging", "force_gain", "lead_error"]
@@ -313,9 +317,11 @@ def test_an_effect_is_held_against_the_sudden_force_that_does_without_it_between
 
     monkeypatch.setattr(explain, "select_next_effect", look)
     monkeypatch.setattr(explain, "is_complete", lambda fitter, one: one is not base)
-    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
+    monkeypatch.setattr(explain, "share_left", lambda *_: 1.0)
     monkeypatch.setattr(explain, "sudden_force_evidence", lambda *_: 1e3)
-    monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: further if before is base else None)
+    monkeypatch.setattr(
+        explain, "_refit_without_last", lambda fitter, before, fits: further if before is base else None
+    )
     explained = explain.explain(SimpleNamespace(twist=None), base, candidates(AXIS), lambda *_: None)
     assert explained.base is further
     assert (explained.best is found) == snapshots
@@ -331,17 +337,17 @@ def test_a_filter_that_runs_away_explains_nothing(monkeypatch, base, after):
     before, runaway, sound = (fake_fit(evidence=one) for one in ran)
     for one, process_noise in ((before, 2.0), (runaway, 1.0), (sound, 0.1)):
         one.process_noise = np.array([process_noise, 0.0])
-    assert unexplained(None, before, runaway) == 1.0
-    assert unexplained(None, before, sound) == pytest.approx(1e-4 if np.isfinite(base) else 0.0025)
+    assert share_left(None, before, runaway) == 1.0
+    assert share_left(None, before, sound) == pytest.approx(1e-4 if np.isfinite(base) else 0.0025)
 
 
 def test_of_a_filter_that_was_lost_all_along_the_invented_force_counts(monkeypatch):
     monkeypatch.setattr(goodness_of_fit, "missing", lambda fitter, one: 1e4)
     before, after = fake_fit(evidence=0.0), fake_fit("cogging", evidence=-900.0)
     before.process_noise, after.process_noise = np.array([2.0, 0.0]), np.array([0.2, 0.0])
-    assert unexplained(None, before, after) == 1.0
-    monkeypatch.setattr(goodness_of_fit, "blind", lambda *_: True)
-    assert unexplained(None, before, after) == pytest.approx(0.01)
+    assert share_left(None, before, after) == 1.0
+    monkeypatch.setattr(goodness_of_fit, "is_lost_throughout", lambda *_: True)
+    assert share_left(None, before, after) == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize(("here", "gains"), [(-500.0, True), (-5.0, False)])
@@ -364,7 +370,7 @@ def test_a_filter_that_was_trusted_too_little_is_no_evidence_for_an_effect(monke
         with_process=lambda one, *_: one,
         fit=lambda model, theta, *_: fake_fit(evidence=at(model, theta, None, 0).cost),
     )
-    found = _further(fitter, before, [best])
+    found = _refit_without_last(fitter, before, [best])
     assert (found is not None and found.evidence == here) if gains else found is None
 
 

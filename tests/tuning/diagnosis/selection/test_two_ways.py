@@ -73,7 +73,9 @@ def test_a_second_effect_has_no_credit_for_what_searching_again_gave_the_first(m
     nearer, searched = (fake_fit("backlash", evidence=-900.0), fake_fit("backlash", "cogging", evidence=-950.0))
     rounds = [Round(base, [], [play], 1, 0.0), Round(play, [], [both], 1, 0.0)]
     monkeypatch.setattr(explain, "searched_again", lambda *_: searched)
-    monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: nearer if fits == [searched] else None)
+    monkeypatch.setattr(
+        explain, "_refit_without_last", lambda fitter, before, fits: nearer if fits == [searched] else None
+    )
     found = _searched_beside(None, Explanation(base, rounds, both))
     assert found.best is found.rounds[1].fits[0] is searched
     assert found.rounds[1].before is found.rounds[0].fits[0] is nearer
@@ -99,9 +101,11 @@ def test_a_second_effect_that_is_worth_nothing_beside_the_first_searched_again_i
 
     monkeypatch.setattr(explain, "select_next_effect", look)
     monkeypatch.setattr(explain, "searched_again", lambda *_: searched)
-    monkeypatch.setattr(explain, "_further", lambda fitter, before, fits: nearer if fits == [searched] else None)
+    monkeypatch.setattr(
+        explain, "_refit_without_last", lambda fitter, before, fits: nearer if fits == [searched] else None
+    )
     monkeypatch.setattr(explain, "is_complete", lambda *_: False)
-    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
+    monkeypatch.setattr(explain, "share_left", lambda *_: 1.0)
     ended = explain.explain(None, base, [], lambda *_: None)
     assert ended.named == found
     assert ended.best is (searched if len(found) == 2 else nearer)
@@ -216,7 +220,7 @@ def test_a_rival_that_needs_numbers_that_cannot_be_is_none_of_what_does_without(
     assert found.rounds[1].gain == looked.gain
     for module in (explain, verdict):
         monkeypatch.setattr(module, "is_complete", lambda *_: False)
-        monkeypatch.setattr(module, "unexplained", lambda *_: 0.001)
+        monkeypatch.setattr(module, "share_left", lambda *_: 0.001)
     told = {one.effect: one for one in verdict.judge(None, found).beliefs}
     assert told["constant_force"].confidence > 0.5 > told["lead_error"].confidence
 
@@ -235,9 +239,9 @@ def test_the_search_goes_on_from_numbers_that_can_be(monkeypatch):
 
     monkeypatch.setattr(explain, "select_next_effect", look)
     monkeypatch.setattr(explain, "refit_from_nominal", lambda fitter, before, one: near if one is far else one)
-    monkeypatch.setattr(explain, "_further", lambda *_: None)
+    monkeypatch.setattr(explain, "_refit_without_last", lambda *_: None)
     monkeypatch.setattr(explain, "is_complete", lambda fitter, one: one is tilted)
-    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
+    monkeypatch.setattr(explain, "share_left", lambda *_: 1.0)
     found = explain.explain(None, base, [], lambda *_: None)
     assert found.best is tilted
     assert [one.fits[0] for one in found.rounds] == [near, tilted]
@@ -269,12 +273,12 @@ def both_ways(monkeypatch, joint):
     monkeypatch.setattr(explain, "select_next_effect", look)
     monkeypatch.setattr(explain, "to_its_end", lambda fitter, one: one)
     monkeypatch.setattr(explain, "searched_again", lambda fitter, before, one: one)
-    monkeypatch.setattr(explain, "_further", lambda *_: None)
+    monkeypatch.setattr(explain, "_refit_without_last", lambda *_: None)
     for module in (explain, verdict):
         monkeypatch.setattr(module, "is_complete", lambda *_: False)
-        monkeypatch.setattr(module, "unexplained", lambda *_: 0.001)
-    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
-    catalogue = [SimpleNamespace(name=one, relieves=False) for one in ("backlash", "constant_force", "cogging")]
+        monkeypatch.setattr(module, "share_left", lambda *_: 0.001)
+    monkeypatch.setattr(explain, "share_left", lambda *_: 1.0)
+    catalogue = [SimpleNamespace(name=one, absorbable=False) for one in ("backlash", "constant_force", "cogging")]
     return explain.explain(None, fake_fit(evidence=0.0, max_prior_deviation=8.0), catalogue, lambda *_: None), asked
 
 
@@ -319,7 +323,7 @@ def test_a_way_refused_for_numbers_that_cannot_be_is_no_rival(monkeypatch):
 
 def test_a_rival_of_a_round_that_ends_the_other_way_is_not_counted_twice(monkeypatch):
     monkeypatch.setattr(verdict, "is_complete", lambda *_: False)
-    monkeypatch.setattr(verdict, "unexplained", lambda *_: 0.001)
+    monkeypatch.setattr(verdict, "share_left", lambda *_: 0.001)
     base = fake_fit(evidence=0.0)
     fits = [fake_fit(name, evidence=by) for name, by in (("cogging", -1000.0), ("lead_error", -995.0))]
     first = Round(base, [], fits, 2, 0.0)
@@ -332,7 +336,7 @@ def test_a_rival_of_a_round_that_ends_the_other_way_is_not_counted_twice(monkeyp
 def test_what_was_found_is_not_said_to_be_open(monkeypatch):
     """Of two effects found together, either may have been a near rival of the other in the first round."""
     monkeypatch.setattr(verdict, "is_complete", lambda *_: False)
-    monkeypatch.setattr(verdict, "unexplained", lambda *_: 0.001)
+    monkeypatch.setattr(verdict, "share_left", lambda *_: 0.001)
     base, one = fake_fit(evidence=0.0), fake_fit("cogging", evidence=-1000.0)
     both = fake_fit("cogging", "lead_error", evidence=-3000.0)
     rounds = [Round(base, [], [one, fake_fit("lead_error", evidence=-999.0)], 2, 0.0), Round(one, [], [both], 1, 0.0)]
@@ -354,7 +358,7 @@ def test_an_effect_that_leaves_a_number_where_it_cannot_be_does_not_explain_how_
 def test_no_cause_is_sure_where_the_logs_say_unknown(monkeypatch):
     """Also where what is left is but a little more than what the details of a model may leave."""
     monkeypatch.setattr(verdict, "is_complete", lambda *_: False)
-    monkeypatch.setattr(verdict, "unexplained", lambda *_: 0.021)
+    monkeypatch.setattr(verdict, "share_left", lambda *_: 0.021)
     base, one = fake_fit(evidence=0.0), fake_fit("cogging", evidence=-1e5)
     told = verdict.judge(None, Explanation(base, [Round(base, [], [one], 1, 0.0)], one))
     assert told.verdict == "unknown"

@@ -33,7 +33,7 @@ def stepwise(monkeypatch, alone):
 
     monkeypatch.setattr(explain, "drop_effect", drop_effect)
     monkeypatch.setattr(explain, "is_complete", lambda *_: False)
-    monkeypatch.setattr(explain, "unexplained", lambda *_: 0.001)
+    monkeypatch.setattr(explain, "share_left", lambda *_: 0.001)
     return Explanation(base, rounds, both), asked
 
 
@@ -43,7 +43,7 @@ def stepwise(monkeypatch, alone):
 )
 def test_what_was_found_first_is_dropped_where_what_came_after_explains_as_much_alone(monkeypatch, alone, kept):
     found, asked = stepwise(monkeypatch, alone)
-    other = _Search(None, quiet, 2).spared(found)
+    other = _Search(None, quiet, 2).backward_elimination(found)
     assert asked[0] == (found.best, 0)
     if kept:
         assert other is found
@@ -73,7 +73,7 @@ def test_what_was_found_last_is_held_against_what_the_others_explain_alone(monke
     found.rounds[0].fits[0].evidence = first
     fewer = fake_fit("process_force", evidence=evidence, coarse=coarse)
     monkeypatch.setattr(explain, "drop_effect", lambda fitter, one, index: fewer if index == 1 else None)
-    other = _Search(None, quiet, 2).spared(found)
+    other = _Search(None, quiet, 2).backward_elimination(found)
     assert other.best is (found.best if kept else fewer)
     assert names(other.rounds[0]) == ["process_force", "frame_vibration"]
     assert other.rounds[0].before is found.base
@@ -91,7 +91,7 @@ def test_what_was_found_last_need_bring_little_where_a_number_becomes_impossible
     found.rounds[1] = found.rounds[1]._replace(allowance=0.0)
     fewer = fake_fit("process_force", evidence=evidence, max_prior_deviation=9.0)
     monkeypatch.setattr(explain, "drop_effect", lambda fitter, one, index: fewer if index == 1 else None)
-    other = _Search(None, quiet, 2).spared(found)
+    other = _Search(None, quiet, 2).backward_elimination(found)
     assert other.best is (found.best if kept else fewer)
     assert all(one.worth_it for one in other.rounds)
 
@@ -103,7 +103,7 @@ def test_what_brought_less_than_all_before_it_set_nothing_going(monkeypatch, evi
     found.rounds[0].fits[0].evidence = first
     fewer = fake_fit("process_force", evidence=evidence)
     monkeypatch.setattr(explain, "drop_effect", lambda fitter, one, index: fewer if index == 1 else None)
-    assert _Search(None, quiet, 2).spared(found) is found
+    assert _Search(None, quiet, 2).backward_elimination(found) is found
 
 
 def test_a_rival_that_needs_impossible_numbers_without_what_was_dropped_is_none(monkeypatch):
@@ -115,7 +115,7 @@ def test_a_rival_that_needs_impossible_numbers_without_what_was_dropped_is_none(
         return fake_fit(name, evidence=-23_950.0, max_prior_deviation=ends[name])
 
     monkeypatch.setattr(explain, "drop_effect", drop_effect)
-    (first,) = _Search(None, quiet, 2).spared(found).rounds
+    (first,) = _Search(None, quiet, 2).backward_elimination(found).rounds
     assert names(first) == ["frame_vibration", "process_force"]
 
 
@@ -124,22 +124,22 @@ def test_an_effect_is_not_dropped_where_a_number_becomes_impossible_without(monk
     found.best.theta[0] = 5.0
     fewer = fake_fit("frame_vibration", evidence=-23_900.0, max_prior_deviation=9.0)
     monkeypatch.setattr(explain, "drop_effect", lambda fitter, one, index: None if index else fewer)
-    assert _Search(None, quiet, 2).spared(found) is found
+    assert _Search(None, quiet, 2).backward_elimination(found) is found
 
 
 def test_where_nothing_is_left_an_effect_need_not_bring_more_than_a_small_one_brings(monkeypatch):
     found, _ = stepwise(monkeypatch, -23_900.0)
     monkeypatch.setattr(explain, "is_complete", lambda fitter, one: one is found.best)
-    assert _Search(None, quiet, 2).spared(found) is found
+    assert _Search(None, quiet, 2).backward_elimination(found) is found
 
 
 def test_an_effect_that_keeps_a_number_where_it_can_be_is_not_dropped(monkeypatch):
     found, _ = stepwise(monkeypatch, None)
     fewer = fake_fit("frame_vibration", evidence=-23_900.0, max_prior_deviation=9.0)
     monkeypatch.setattr(explain, "drop_effect", lambda fitter, one, index: None if index else fewer)
-    assert _Search(None, quiet, 2).spared(found) is found
+    assert _Search(None, quiet, 2).backward_elimination(found) is found
     fewer.evidence = found.best.evidence + 0.9 * WORTH
-    assert _Search(None, quiet, 2).spared(found).best is fewer
+    assert _Search(None, quiet, 2).backward_elimination(found).best is fewer
 
 
 def test_of_three_effects_the_first_is_dropped_and_the_others_stay_in_their_order(monkeypatch):
@@ -154,8 +154,8 @@ def test_of_three_effects_the_first_is_dropped_and_the_others_stay_in_their_orde
 
     monkeypatch.setattr(explain, "drop_effect", drop_effect)
     monkeypatch.setattr(explain, "is_complete", lambda *_: False)
-    monkeypatch.setattr(explain, "unexplained", lambda *_: 0.001)
-    other = _Search(None, quiet, 3).spared(Explanation(base, rounds, chain[2]))
+    monkeypatch.setattr(explain, "share_left", lambda *_: 0.001)
+    other = _Search(None, quiet, 3).backward_elimination(Explanation(base, rounds, chain[2]))
     assert [names(one)[0] for one in other.rounds] == ["backlash", "lead_error"]
     assert other.rounds[0].before is base
     assert other.rounds[1].before is other.rounds[0].fits[0]
@@ -173,9 +173,9 @@ def offered(monkeypatch, coupled):
         return Round(before, [], [first] if before is base else [], 1, 0.0)
 
     monkeypatch.setattr(explain, "select_next_effect", look)
-    monkeypatch.setattr(explain, "_further", lambda *_: None)
+    monkeypatch.setattr(explain, "_refit_without_last", lambda *_: None)
     monkeypatch.setattr(explain, "is_complete", lambda fitter, one: one is first)
-    monkeypatch.setattr(explain, "unexplained", lambda *_: 1.0)
+    monkeypatch.setattr(explain, "share_left", lambda *_: 1.0)
     search = _Search(None, quiet, 2)
     found = search.forward_selection(base, [], base, catalogue())
     return found, asked
@@ -184,8 +184,16 @@ def offered(monkeypatch, coupled):
 def catalogue():
     """Three effects: one that pushes, one that parameters stand in for, one that passes for noise."""
     made = []
-    for name, relieves, noisy in (("cogging", False, False), ("force_gain", True, False), ("lead_error", False, True)):
-        one = type("Stub", (), {"name": name, "relieves": relieves, "noisy": noisy, "unseen": relieves or noisy})
+    for name, absorbable, noisy in (
+        ("cogging", False, False),
+        ("force_gain", True, False),
+        ("lead_error", False, True),
+    ):
+        one = type(
+            "Stub",
+            (),
+            {"name": name, "absorbable": absorbable, "noisy": noisy, "unseen": absorbable or noisy},
+        )
         made.append(one)
     return made
 
