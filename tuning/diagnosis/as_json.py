@@ -34,7 +34,7 @@ TOO_FAR = (
 def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
     """The diagnosis as diagnosis.json holds it: numbers, and null where one is infinite or undefined."""
     nominal, recalibrated, last = found.comparisons[0], found.comparisons[1], found.comparisons[-1]
-    told = {
+    document = {
         "verdict": found.verdict.verdict,
         "says": found.verdict.says,
         "unexplained": found.verdict.unexplained,
@@ -71,16 +71,16 @@ def as_json(found: Diagnosis, offer: Experiment) -> dict[str, Any]:
         "left_looks_like": "" if found.left is None else dependences_say(found.left, "What is left"),
         "next_experiment": {key: value for key, value in offer._asdict().items() if key != "reference"},
     }
-    return cast(dict[str, Any], plain(told))  # of a mapping, it is one
+    return cast(dict[str, Any], plain(document))  # of a mapping, it is one
 
 
 def _size(found: Diagnosis) -> str:
     """How large the gap is, in words."""
     (nominal, recalibrated), floor = (one.force for one in found.comparisons[:2]), found.floor
-    if not recalibrated.told:
+    if not recalibrated.is_known:
         return TOO_FAR
     after = f"after recalibration {recalibrated.rms:.3g} N RMS"
-    if not nominal.told or floor is None:
+    if not nominal.is_known or floor is None:
         return f"{TOO_FAR}; {after}"
     (low, high), within = found.comparisons[0].interval, recalibrated.rms < HIDDEN * floor
     return (
@@ -92,12 +92,12 @@ def _size(found: Diagnosis) -> str:
 
 def _force(comparison: ModelComparison) -> float | None:
     """The missing force (N); None where it cannot be computed."""
-    return comparison.force.rms if comparison.force.told else None
+    return comparison.force.rms if comparison.force.is_known else None
 
 
 def _span(comparison: ModelComparison) -> tuple[float | None, float | None]:
     """Its interval (N)."""
-    return comparison.interval if comparison.force.told else (None, None)
+    return comparison.interval if comparison.force.is_known else (None, None)
 
 
 def _in_loop(comparison: ModelComparison, name: str) -> float | None:
@@ -136,7 +136,7 @@ def _own_shrink(found: Diagnosis, before: ModelComparison, after: ModelCompariso
     """What one effect takes off the gap beyond the floor that the model before it leaves; no share of nothing."""
     gone = gap_reduction(before, after, found.logged.sampling.rate)
     judged = {"judged_on": found.split.says}
-    if gone is None or not after.force.told:
+    if gone is None or not after.force.is_known:
         return {"shrink": None, "interval": None, **judged}
     return {"shrink": gone.share, "interval": [gone.low, gone.high]} | judged
 
@@ -175,7 +175,7 @@ def _nominal(logged: Logged, parameter: str) -> list[tuple[str, float, str]]:
 
 def _rung(found: Diagnosis, comparison: ModelComparison) -> dict[str, object]:
     shrink, *span = (
-        comparison.shrink if comparison.force.told and found.comparisons[0].force.told else (None, None, None)
+        comparison.shrink if comparison.force.is_known and found.comparisons[0].force.is_known else (None, None, None)
     )
     unknown = "not simulated in closed loop: the controller or the reference is not known"
     return {
@@ -199,8 +199,8 @@ def _closed(found: Diagnosis) -> dict[str, object]:
     before, after, floor, gone = found.comparisons[1].force, found.comparisons[-1].force, found.floor, found.closed
     if len(found.comparisons) == 2:
         return {"share": None, "interval": None, "says": "No effect was added."}
-    if not (before.told and after.told and floor is not None):
-        lost = "the recalibrated drive" if after.told else "what was found"
+    if not (before.is_known and after.is_known and floor is not None):
+        lost = "the recalibrated drive" if after.is_known else "what was found"
         says = f"On {found.split.says}: the missing force is not computed, since the filter loses track with {lost}"
         return {"share": None, "interval": None, "says": says + _in_closed_loop(found)}
     alike = np.array_equal(found.comparisons[1].trusting, found.comparisons[-1].trusting)

@@ -28,7 +28,7 @@ def numbers(cause: dict[str, Any]) -> list[str]:
     of its amplitude takes those of cosine and sine as independent, which makes it too wide where a period that is not
     well known moves both. What the effect holds as a logarithm is told as a factor.
     """
-    return [one.says for one in _told(cause)]
+    return [one.says for one in _numbers(cause)]
 
 
 def headlines(causes: list[dict[str, Any]]) -> list[str]:
@@ -48,7 +48,7 @@ def parameter(name: str, cause: dict[str, Any]) -> str:
     return f"{name} {format_spans(spans, cause['units'][name])}"
 
 
-def _told(cause: dict[str, Any]) -> list[Told]:
+def _numbers(cause: dict[str, Any]) -> list[Told]:
     given = cause["parameters"]
     harmonics = [one for one in WAVES if f"cosine{one}" in given and f"sine{one}" in given]
     shown = [_wave(cause, one) for one in harmonics]
@@ -60,9 +60,9 @@ def _told(cause: dict[str, Any]) -> list[Told]:
 
 
 def _foremost(cause: dict[str, Any]) -> Iterator[str]:
-    told = _told(cause)
-    first = sorted(range(len(told)), key=lambda k: -told[k].telling)[:HEAD]
-    return (told[k].says for k in sorted(first))
+    numbers = _numbers(cause)
+    first = sorted(range(len(numbers)), key=lambda k: -numbers[k].telling)[:HEAD]
+    return (numbers[k].says for k in sorted(first))
 
 
 def _spans(name: str, cause: dict[str, Any]) -> list[Span]:

@@ -212,7 +212,7 @@ def diagnose(
     limits, alike = _limits_and_rivalries(fitter, found, catalogue) if searched else ([], [])
     left = dependences(fitter, found.best, at) if searched and _is_lacking(fitter, found, verdict) else None
     progress("finding what these logs would show", 1, 1)
-    again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.told else None
+    again = laps(logs, gap.force, gap.counts, logged.owner, logged.thinning) if gap.is_known else None
     where = [*where, *_signals(comparisons)]
     return Diagnosis(logged, found, verdict, where, gap, comparisons, parts, deficits, again, limits, alike, left)
 
@@ -305,10 +305,10 @@ def _subsystems(found: Explanation, unexplained: float) -> list[Region]:
         return []
     first: Round = found.rounds[0]
     total = max(found.base.cost - found.best.cost, 1e-9) / max(1.0 - unexplained, 1e-9)
-    told = [(one.candidate, one.gain) for one in reversed(first.screened)]  # the best of each name last
-    told += [(one.model.members[-1].candidate, first.before.cost - one.cost) for one in first.fits]
-    gains = {candidate.name: gain for candidate, gain in told}
-    freedom = {candidate.name: max(len(candidate.parameters), 1) for candidate, _ in told}
+    gained = [(one.candidate, one.gain) for one in reversed(first.screened)]  # the best of each name last
+    gained += [(one.model.members[-1].candidate, first.before.cost - one.cost) for one in first.fits]
+    gains = {candidate.name: gain for candidate, gain in gained}
+    freedom = {candidate.name: max(len(candidate.parameters), 1) for candidate, _ in gained}
     regions = []
     for place, effects in effects_by_part().items():
         here = [(gains[effect.name], effect.name) for effect in effects if effect.name in gains]

@@ -85,7 +85,7 @@ def next_experiment(found: Diagnosis, description: Axis) -> Experiment:
 
     def tells_of(name: str, steps: int) -> float:
         inputs = loop_inputs(tried[name], np.zeros(len(tried[name].time)))
-        return _told(first.fitted, fitted, description, inputs, steps)
+        return _misfit(first.fitted, fitted, description, inputs, steps)
 
     best, tells = _surest({name: tells_of(name, STEPS) for name in tried}, lambda name: tells_of(name, MORE))
     if tells < LACKING:
@@ -111,14 +111,14 @@ def _rivals(found: Diagnosis, cause: Belief) -> list[tuple[str, Fitted]]:
     return [(one.effect, beside.get(one.effect, one.fitted)) for one in rivals]
 
 
-def _surest(told: dict[str, float], again: Callable[[str], float]) -> tuple[str, float]:
+def _surest(misfits: dict[str, float], again: Callable[[str], float]) -> tuple[str, float]:
     """The motion that tells most once it was looked at `again`: a rival's short fit may have stopped on its way."""
     looked: dict[str, float] = {}
-    while told:
-        name = max(told, key=lambda one: looked.get(one, told[one]))
+    while misfits:
+        name = max(misfits, key=lambda one: looked.get(one, misfits[one]))
         if name in looked:
             return name, looked[name]
-        looked[name] = min(told[name], again(name))
+        looked[name] = min(misfits[name], again(name))
     return "", 0.0
 
 
@@ -155,7 +155,7 @@ class _Axis(NamedTuple):
 
 def _exciting(found: Diagnosis, description: Axis) -> Experiment:
     """The motion that dwells where the recalibrated drive's gap lies."""
-    if not found.gap.told:
+    if not found.gap.is_known:
         return Experiment(
             "", [], 0.0, "No motion is proposed for a drive file so far from its logs: correct units, signs."
         )
@@ -226,7 +226,7 @@ def _strokes(at: _Axis, speed: float, distance: float, dwell: float = 0.1) -> st
     )  # fmt: skip
 
 
-def _told(truth: Fitted, rival: Fitted, description: Axis, inputs: Inputs, steps: int) -> float:
+def _misfit(truth: Fitted, rival: Fitted, description: Axis, inputs: Inputs, steps: int) -> float:
     """By how much a log of this motion would speak for the truth and against the rival."""
     logged, drive = truth.model.logged, drive_of(truth, 0)
     drive = dataclasses.replace(drive, sensor=Sensor(None, float(logged.noise)))  # quantisation is a part of that noise

@@ -75,7 +75,7 @@ def of_diagnosis(found: Diagnosis, logs: Sequence[Log]) -> Chart | None:
         models.append(("with what was found", found.comparisons[-1]))
     over_time, over_position = [], []
     for name, comparison in models:
-        if not comparison.force.told:
+        if not comparison.force.is_known:
             continue
         time, position, force = of_log(found, comparison, log)
         over_time.append(Line(name, *over_the_time(time, force)))

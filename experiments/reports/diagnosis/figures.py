@@ -52,7 +52,7 @@ def save_diagnosis_figures(report: Report, found: Diagnosis, logs: Sequence[Log]
 @drawing
 def _ladder(found: Diagnosis) -> Figure:
     """The gap of each model on held-out data, against the floor: the missing force and, simulated, the closed loop."""
-    rms = np.array([comparison.force.rms if comparison.force.told else np.nan for comparison in found.comparisons])
+    rms = np.array([comparison.force.rms if comparison.force.is_known else np.nan for comparison in found.comparisons])
     spread = np.abs(np.array([comparison.interval for comparison in found.comparisons]).T - rms)
     loops = [comparison.loop for comparison in found.comparisons if comparison.loop is not None]
     simulated = [one for one in loops if not one.says]
@@ -105,7 +105,7 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Figure:
     log = found.split.logs[-1]
     repeats = _period(found, log)
     figure, axes = new_figure(2 if repeats is None else 3, 1, height=2.2, share_x=False)
-    for comparison, label, color in (one for one in _first_and_last(found.comparisons) if one[0].force.told):
+    for comparison, label, color in (one for one in _first_and_last(found.comparisons) if one[0].force.is_known):
         time, position, force = of_log(found, comparison, log)
         line = Line(label, *over_the_time(time, force))
         axes[0].plot(*thinned(line, MOST_POINTS), color=color, linewidth=0.8, label=label)
@@ -124,7 +124,9 @@ def _missing(found: Diagnosis, logs: Sequence[Log]) -> Figure:
     legend_below(figure, axes[0])
     axes[0].set_title(GAPS)
     shares = [
-        f"{one.force.rms:.3g} N RMS {label}" for one, label, _ in _first_and_last(found.comparisons) if one.force.told
+        f"{one.force.rms:.3g} N RMS {label}"
+        for one, label, _ in _first_and_last(found.comparisons)
+        if one.force.is_known
     ]
     say(figure, f"Missing force, {logs[log].name}: {', '.join(shares) or 'the filter of 0 models could tell it'}")
     return figure

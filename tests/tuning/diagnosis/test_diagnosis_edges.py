@@ -214,7 +214,7 @@ def test_where_the_drive_cannot_follow_its_log_no_force_is_told():
     far = dataclasses.replace(SOUND, position=1e3 * SOUND.position, reference=1e3 * SOUND.reference)
     found = diagnose(DRIVE.drive, DRIVE.controller, [far], without=list(EFFECTS))
     told = as_json(found, Experiment("", [], 0.0, ""))
-    assert not any(comparison.force.told for comparison in found.comparisons)
+    assert not any(comparison.force.is_known for comparison in found.comparisons)
     gap = told["gap"]
     assert [gap[name] for name in ("force_rms_N", "recalibrated_force_rms_N", "noise_floor_force_N")] == [None] * 3
     assert "too far from the logs" in gap["says"]

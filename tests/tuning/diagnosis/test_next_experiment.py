@@ -77,7 +77,7 @@ def telling(monkeypatch, tells):
         asked.append((number, steps))
         return tells(number, steps)
 
-    monkeypatch.setattr(module, "_told", told)
+    monkeypatch.setattr(module, "_misfit", told)
     return asked
 
 
@@ -115,8 +115,8 @@ def test_a_motion_is_simulated_with_one_cause_and_read_by_the_other():
         fits.append(fitter.fit(model, theta, base.process_noise, base.filtered.trajectory, 2))
     stroke = list(MOTIONS.values())[-1]
     inputs = loop_inputs(stroke, np.zeros(len(stroke.time)))
-    assert module._told(fits[0], fits[1], DRIVE, inputs, module.STEPS) > module.LACKING
-    assert abs(module._told(fits[0], fits[0], DRIVE, inputs, module.STEPS)) < 1e-6
+    assert module._misfit(fits[0], fits[1], DRIVE, inputs, module.STEPS) > module.LACKING
+    assert abs(module._misfit(fits[0], fits[0], DRIVE, inputs, module.STEPS)) < 1e-6
 
 
 def test_an_axis_whose_ends_nobody_gave_goes_no_further_than_in_the_logs():
@@ -156,7 +156,7 @@ def test_the_rival_that_a_second_way_found_is_decided_where_its_own_round_has_no
 def test_a_rival_that_is_surer_in_another_round_is_read_as_it_was_beside_the_cause(monkeypatch):
     """There it stands beside the cause itself, and no motion would tell the two apart."""
     read = []
-    monkeypatch.setattr(module, "_told", lambda truth, rival, *_: read.append((truth, rival)) or 50.0)
+    monkeypatch.setattr(module, "_misfit", lambda truth, rival, *_: read.append((truth, rival)) or 50.0)
     beside = fake_fit("lead_error", evidence=-900.0)
     first = belief("cogging", alternatives=["lead_error", "constant_force"])
     others = belief("lead_error", found=False, round=1), belief("constant_force", found=False, round=1)
@@ -225,7 +225,7 @@ def test_a_motion_that_dwells_lies_about_the_middle_of_where_the_logs_went():
 
 def test_no_motion_is_proposed_where_the_missing_force_is_not_told():
     far = diagnosed("unknown", where=[region("phase", "reversal")])
-    far.gap.told = False
+    far.gap.is_known = False
     offer = next_experiment(far, DRIVE)
     assert offer.motion == ""
     assert "units" in offer.says

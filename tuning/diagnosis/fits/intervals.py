@@ -58,7 +58,7 @@ def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, Interval]
     candidate = fitted.model.members[member].candidate
     details = [DETAILS.get(one.candidate.effect, 0.0) for one in fitted.model.members]
     known, spread = {one.name: one for one in candidate.parameters}, deviations(fitted)
-    values_of, told = fitted.model.values(fitted.theta)[member], dict[str, Any]()
+    values_of, intervals = fitted.model.values(fitted.theta)[member], dict[str, Any]()
     for k, (index, name, log) in enumerate(fitted.model.slots, start=len(NAMES)):
         if index != member:
             continue
@@ -72,11 +72,11 @@ def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, Interval]
         if candidate.effect is LoopDelay:
             value, low, high = (fitted.model.logged.control_periods * number for number in (value, low, high))
         if log is None:
-            told[name] = (value, (low, high))
+            intervals[name] = (value, (low, high))
         else:
-            values, (lows, highs) = told.get(name, ([], ([], [])))
-            told[name] = ([*values, value], ([*lows, low], [*highs, high]))
-    return told
+            values, (lows, highs) = intervals.get(name, ([], ([], [])))
+            intervals[name] = ([*values, value], ([*lows, low], [*highs, high]))
+    return intervals
 
 
 def _whole(parameter: Parameter, theta: float) -> float:

@@ -55,7 +55,7 @@ class ForceGap(NamedTuple):
     lost: float = 0.0  # share of the samples at which the filter was lost, whatever the table did
 
     @property
-    def told(self) -> bool:
+    def is_known(self) -> bool:
         """Whether the filter followed the logs: one that is lost again and again, or ran away, sees no force."""
         return self.lost <= BLIND and bool(np.isfinite(self.rms))
 

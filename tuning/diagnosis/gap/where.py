@@ -213,14 +213,14 @@ def localise(
     alike = "where {} would, were it alike in all motion"
     moving = _shares(gap, every, moved, rate, within=speed > SLOWEST, alike=alike)
     regions = [*_shares(gap, every, asked, rate), *moving]
-    if not gap.told:  # a lost filter's force has a spectrum, too
+    if not gap.is_known:  # a lost filter's force has a spectrum, too
         return [*ranked(regions), *ranked(others)]
     bands = _frequencies(gap, rate, noise)
     lines = [*lines_in_time(gap.force, rate), *lines_in_position(gap.force, motion.position, gap.counts)]
     clear = [one for one in lines if one.p_value < SIGNIFICANT]
     apart = told_apart(clear, gap.force, motion.position, motion.velocity, gap.counts, rate)
-    told = [one for one in (*bands, *(_line(one, lead) for one in apart)) if one.share > FAINT]
-    return [*ranked([*regions, *told], len(bands) + len(lines) - len(told)), *ranked(others)]
+    large = [one for one in (*bands, *(_line(one, lead) for one in apart)) if one.share > FAINT]
+    return [*ranked([*regions, *large], len(bands) + len(lines) - len(large)), *ranked(others)]
 
 
 def _bands(

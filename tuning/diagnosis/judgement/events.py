@@ -40,10 +40,10 @@ def least_foreseen(fitted: Fitted) -> Event:
     logged, filtered = fitted.model.logged, fitted.filtered
     unit = np.asarray(filtered.innovation_std) * np.sqrt(max(float(filtered.noise_scale_sq), 1.0))
     off = np.abs(np.asarray(filtered.innovation) / unit)
-    astray = ~(off <= LOST)
+    lost = ~(off <= LOST)
     for _ in range(SETTLED):
-        astray[:, 1:] |= astray[:, :-1]
-    counted = np.where(astray, 0.0, np.asarray(logged.lanes.counts))
+        lost[:, 1:] |= lost[:, :-1]
+    counted = np.where(lost, 0.0, np.asarray(logged.lanes.counts))
     wide = min(max(SHORTEST, round(MOMENT * logged.sampling.rate)), off.shape[1])
     count = float(logged.drive.sensor.resolution or 0.0)
     beyond = np.maximum(off - 0.5 * count / unit, 0.0)
@@ -51,7 +51,7 @@ def least_foreseen(fitted: Fitted) -> Event:
     neighbours = np.ptp(shown, axis=2) < 1.5 * count
     moving, resting, freedom = (
         _summed(one, wide)
-        for one in (np.where(astray, 0.0, off) ** 2 * counted, np.where(astray, 0.0, beyond) ** 2 * counted, counted)
+        for one in (np.where(lost, 0.0, off) ** 2 * counted, np.where(lost, 0.0, beyond) ** 2 * counted, counted)
     )
     sums = np.where(neighbours, resting, moving)
     logs = np.where(freedom > 0.0, chi2.logsf(sums, np.maximum(freedom, 1.0)), 0.0)

@@ -36,9 +36,9 @@ def gap_reduction(before: ModelComparison, after: ModelComparison, rate: float) 
     alike = np.array_equal(before.trusting, after.trusting)  # else each has the floor of its own filter
     floors = np.array([after.floor if alike else before.floor, after.floor])
     squares = [np.r_[one.force.rms**2, one.force.drawn(rate)] for one in (before, after)]
-    if not np.all(np.isfinite([*floors, *squares[0], *squares[1]])) or not after.force.told:
+    if not np.all(np.isfinite([*floors, *squares[0], *squares[1]])) or not after.force.is_known:
         return GapReduction(0.0, 0.0, 0.0)
-    if not before.force.told:
+    if not before.force.is_known:
         return None
     least = (HIDDEN**2 - 1.0) * floors[0] ** 2
     hidden = [one[0] < (HIDDEN * floor) ** 2 for one, floor in zip(squares, floors, strict=True)]
@@ -60,8 +60,8 @@ def is_hidden(found: Explanation) -> bool:
     payload is a heavier table. Then no log holds one against the other, what either leaves is the same, and the drive
     file decides.
     """
-    told = float(found.base.filtered.deviance) - float(found.best.filtered.deviance)
-    return told < WORTH and restores_nominal(found.best, found.base)
+    gained = float(found.base.filtered.deviance) - float(found.best.filtered.deviance)
+    return gained < WORTH and restores_nominal(found.best, found.base)
 
 
 def gap_reductions(found: Explanation, comparisons: list[ModelComparison], rate: float) -> list[float | None]:
@@ -163,7 +163,7 @@ def confirmed(verdict: Verdict, comparisons: list[ModelComparison], share: GapRe
         gone = f"{100 * share.share:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f})"
         return verdict.downgraded(f"in the held-out data only {gone} of the missing force is gone")
     last = comparisons[-1]
-    floor = known_floor(comparisons, last) if last.fitted.model.coarse and last.force.told else None
+    floor = known_floor(comparisons, last) if last.fitted.model.coarse and last.force.is_known else None
     if floor is not None and last.force.rms > ENLARGED * floor:
         times = last.force.rms / floor
         return verdict.downgraded(f"the force still missing in the held-out data is {times:.1f} times its floor")

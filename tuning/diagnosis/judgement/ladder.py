@@ -50,7 +50,7 @@ def known_floor(comparisons: list[ModelComparison], comparison: ModelComparison)
     recalibrated drive's.
     """
     filtered = comparisons[1] if comparison.fitted.model.coupled else comparison
-    return comparison.floor if filtered.force.told and np.isfinite(comparison.floor) else None
+    return comparison.floor if filtered.force.is_known and np.isfinite(comparison.floor) else None
 
 
 def _weighted(fitter: Fitter, counts: Float[np.ndarray, "lanes n"]) -> Fitter:
@@ -82,8 +82,8 @@ def _told_by(fitter: Fitter, one: Fitted, process_noise: Forces) -> tuple[ForceG
     much, nothing keeps the motor in its gap, and what the screw explains drowns in the noise.
     """
     gap = force_gap(fitter, one, process_noise)
-    own = least_following(fitter, one) if one.model.screw_found or not gap.told else None
-    if own is None or (gap.told and own[0] >= process_noise[0]):
+    own = least_following(fitter, one) if one.model.screw_found or not gap.is_known else None
+    if own is None or (gap.is_known and own[0] >= process_noise[0]):
         return gap, process_noise
     return force_gap(fitter, one, own), own
 

@@ -113,7 +113,7 @@ def _shared(
     gains = np.array([found.base.evidence - one.best.evidence for one in (found, found.other)])
     shares = _probabilities(gains, left)
     rivals = sorted(theirs) if shares[1] > DECLARED * shares[0] else []
-    told = [
+    shared = [
         one._replace(  # its own round may have shared with the same rival: the less counts, not both
             confidence=min(one.confidence, float(surely[one.round] * shares[0])),
             alternatives=[*dict.fromkeys([*one.alternatives, *rivals])],
@@ -128,9 +128,9 @@ def _shared(
         name = fitted.model.members[-1].candidate.name
         if name in theirs:
             gain = float(looked.before.evidence - fitted.evidence)
-            told = [one for one in told if (one.effect, one.round) != (name, number)]
-            told.append(Belief(name, sure, False, number, gain, fitted, sorted(mine) if rivals else []))
-    return told
+            shared = [one for one in shared if (one.effect, one.round) != (name, number)]
+            shared.append(Belief(name, sure, False, number, gain, fitted, sorted(mine) if rivals else []))
+    return shared
 
 
 def _one_of_each(beliefs: list[Belief]) -> list[Belief]:
@@ -180,10 +180,10 @@ def judge(
     effects = best.model.added
     incomplete = not is_complete(fitter, base)
     share = share_left(fitter, base, best) if incomplete else 0.0
-    told, gap = share, "the gap"
+    unexplained, gap = share, "the gap"
     if incomplete and best.model.coarse and in_loop is not None:
-        told, gap, closes = in_loop, "the gap in closed loop", ()  # a filter's share of force tells nothing then
-    left = told / _may_leave(best)
+        unexplained, gap, closes = in_loop, "the gap in closed loop", ()  # a filter's share tells nothing then
+    left = unexplained / _may_leave(best)
     known = float(1.0 / (1.0 + left ** (3.0 / np.log(SHARPNESS)))) if incomplete else 1.0
     sure = NEAREST + (1.0 - NEAREST) * known
     much_left = known < 0.5
@@ -200,9 +200,9 @@ def judge(
     if not effects:
         return _nothing_found(base, beliefs, incomplete)
     if not known >= 0.5:
-        says = _closest(beliefs, taking, f"{100 * told:.0f} % of {gap}")
+        says = _closest(beliefs, taking, f"{100 * unexplained:.0f} % of {gap}")
         return Verdict("unknown", _unsure(beliefs), share, says)
-    much = f"{gap}, but for {100 * told:.0f} % of it" if told >= TOLD else gap
+    much = f"{gap}, but for {100 * unexplained:.0f} % of it" if unexplained >= TOLD else gap
     return _found(found, beliefs, incomplete, share, much)
 
 

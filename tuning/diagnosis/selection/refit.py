@@ -108,10 +108,10 @@ def refit_from_nominal(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
     if nominal is None:
         return one
     effects = np.r_[np.zeros(len(NAMES)), np.ones(one.theta.size - len(NAMES))]
-    told = fitter.minimise(one.model, nominal.theta, nominal.process_noise, nominal.filtered.trajectory, OWN, effects)[
-        0
-    ]
-    most = one.evidence + allowance(one, told)
+    with_nominal = fitter.minimise(
+        one.model, nominal.theta, nominal.process_noise, nominal.filtered.trajectory, OWN, effects
+    )[0]
+    most = one.evidence + allowance(one, with_nominal)
     last = np.inf
     for _ in range(RETURNS):
         ended = to_its_end(

@@ -204,15 +204,15 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened | No
     with what is free already moved to make way: what recalibration has made up for is worse with the effect at first.
     """
     model = joined(fitted.model, candidate)
-    astray = not fitted.model.added or max_prior_deviation(fitted) >= STRAINED
-    before = np.where(astray & (np.arange(fitted.theta.size) < len(NAMES)), 0.0, fitted.theta)
+    may_be_off = not fitted.model.added or max_prior_deviation(fitted) >= STRAINED
+    before = np.where(may_be_off & (np.arange(fitted.theta.size) < len(NAMES)), 0.0, fitted.theta)
     points, processes = starting_points(fitted, candidate), fitted.process_noise * TRIED
     if candidate.searched:
         last = len(model.members) - 1
-        sought = evolved_once(fitter.store, fitted, model, last, np.r_[before, begin(model, {})])
-        if sought is None:
+        evolved = evolved_once(fitter.store, fitted, model, last, np.r_[before, begin(model, {})])
+        if evolved is None:
             return None
-        points, processes = [sought.values], np.vstack([processes, sought.processes])
+        points, processes = [evolved.values], np.vstack([processes, evolved.processes])
 
     def tried_from(calibration: Vector, values: Values) -> tuple[Point, Values]:
         theta = np.r_[calibration, begin(model, values)]
@@ -222,7 +222,7 @@ def tried(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Screened | No
     if not model.coupled:
         cheapest = sorted(found, key=lambda one: one[0].cost)[:BEST]  # not all lie where a fit finds down
         found += [_made_way(fitter, fitted, model, one) for one in cheapest]
-    if astray:
+    if may_be_off:
         found += [tried_from(before, values) for values in points]
     found.sort(key=lambda one: one[0].cost)
     likely = [(fitter.with_process(one, model, processes), values) for one, values in found[:BEST]]

@@ -31,7 +31,7 @@ def unheard(stage: Stage) -> None:
 
 def of_gap(gap: ForceGap, floor: float, is_complete: bool, where: Sequence[Region]) -> Stage:
     """What recalibration leaves; `floor` (N) is what the measuring noise alone makes of a model without a gap."""
-    if not gap.told:
+    if not gap.is_known:
         return Stage("gap", "the filter loses track of the logs with the recalibrated drive: check units and signs")
     if is_complete:
         return Stage("gap", "the recalibrated drive explains the logs to the noise")

@@ -73,4 +73,4 @@ def test_a_model_that_is_lost_in_the_others_filter_is_told_by_one_of_its_own(mon
         None, SimpleNamespace(model=SimpleNamespace(screw_found=screw), theta=None), np.array([200.0, LEAST])
     )
     assert process_noise[0] == told_with
-    assert gap.told == (own is not None or not lost)
+    assert gap.is_known == (own is not None or not lost)
