@@ -47,7 +47,7 @@ def diagnosed(verdict, *beliefs, where=(), unexplained=1.0, deficits=(), says="a
         excitation_deficits=list(deficits),
         where=list(where),
         logged=SimpleNamespace(lanes=lanes),
-        gap=SimpleNamespace(trajectory=SimpleNamespace(velocity=velocity), told=True),
+        gap=SimpleNamespace(trajectory=SimpleNamespace(velocity=velocity), is_known=True),
     )
 
 

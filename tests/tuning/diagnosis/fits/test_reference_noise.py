@@ -65,7 +65,7 @@ def test_a_model_that_is_lost_in_the_others_filter_is_told_by_one_of_its_own(mon
     """In that of the recalibrated drive, of 200 N; where none follows it, it is told to be lost."""
 
     def gap_of(fitter, one, process_noise):
-        return SimpleNamespace(told=process_noise[0] < 200.0 or not lost)
+        return SimpleNamespace(is_known=process_noise[0] < 200.0 or not lost)
 
     monkeypatch.setattr(ladder, "force_gap", gap_of)
     monkeypatch.setattr(ladder, "least_following", lambda *_: None if own is None else np.array([own, LEAST]))

@@ -14,8 +14,8 @@ from tuning.diagnosis.selection.search import Round
 from tuning.diagnosis.selection.stages import Stage, of_gap, of_round
 
 
-def gap(rms, told=True):
-    return SimpleNamespace(rms=rms, told=told)
+def gap(rms, is_known=True):
+    return SimpleNamespace(rms=rms, is_known=is_known)
 
 
 def region(p_value, says="61 % at reversals, in 8 % of the time"):
@@ -33,7 +33,7 @@ def test_the_gap_is_given_with_its_floor_and_its_first_surely_telling_place():
 
 
 @pytest.mark.parametrize(
-    ("one", "is_complete", "says"), [(gap(1.0), True, "to the noise"), (gap(1.0, told=False), False, "loses track")]
+    ("one", "is_complete", "says"), [(gap(1.0), True, "to the noise"), (gap(1.0, is_known=False), False, "loses track")]
 )
 def test_no_force_is_named_where_there_is_none_or_none_can_be_told(one, is_complete, says):
     assert says in of_gap(one, 1.0, is_complete, [region(1e-4)]).says
