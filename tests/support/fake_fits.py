@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tuning.diagnosis.fits import goodness_of_fit
+from tuning.diagnosis.fits.fitted import last_candidate
 from tuning.diagnosis.hypotheses.calibration import NAMES, tolerated
 from tuning.diagnosis.selection import explain
 
@@ -37,4 +38,4 @@ def no_filter_lost(monkeypatch):
 
 def names(looked):
     """The effects that a round added, best first."""
-    return [one.model.members[-1].candidate.name for one in looked.fits]
+    return [last_candidate(one).name for one in looked.fits]

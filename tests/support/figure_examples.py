@@ -138,7 +138,10 @@ def diagnosed():
     models = []
     for name, size in (("nominal", 3.0), ("recalibrated", 2.5), ("+ cogging", 0.3)):
         force = SimpleNamespace(
-            is_known=True, rms=size, counts=np.ones((2, count)), trajectory=SimpleNamespace(position=[position, position]),
+            is_known=True,
+            rms=size,
+            counts=np.ones((2, count)),
+            trajectory=SimpleNamespace(position=[position, position]),
             force=size * RANDOM.normal(size=(2, count)),
         )  # fmt: skip
         loop = SimpleNamespace(

@@ -24,7 +24,7 @@ from diffdrive.numerics.arrays import as_arrays
 from diffdrive.support.rates import is_same_rate
 from tuning.diagnosis.filter.effect_signals import in_parts
 from tuning.diagnosis.filter.second_encoder import twist_of
-from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitted import Fitted, last_candidate
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
     SLIDING,
@@ -200,7 +200,7 @@ def diagnose(
     verdict = downgraded_by_event(downgraded_by_command(verdict, found), found.best)
     verdict = _within(verdict, deficits)
     if before_pruning.best.model.added > found.best.model.added:
-        last = found.rounds[found.best.model.added].fits[0].model.members[-1].candidate.name
+        last = last_candidate(found.rounds[found.best.model.added].fits[0]).name
         verdict = verdict.and_says(f"{last} was withdrawn, since the held-out data are predicted worse with it")
     if without:
         verdict = verdict.and_says(f"not looked for: {', '.join(without)}")
@@ -306,7 +306,7 @@ def _subsystems(found: Explanation, unexplained: float) -> list[Region]:
     first: Round = found.rounds[0]
     total = max(found.base.cost - found.best.cost, 1e-9) / max(1.0 - unexplained, 1e-9)
     gained = [(one.candidate, one.gain) for one in reversed(first.screened)]  # the best of each name last
-    gained += [(one.model.members[-1].candidate, first.before.cost - one.cost) for one in first.fits]
+    gained += [(last_candidate(one), first.before.cost - one.cost) for one in first.fits]
     gains = {candidate.name: gain for candidate, gain in gained}
     freedom = {candidate.name: max(len(candidate.parameters), 1) for candidate, _ in gained}
     regions = []

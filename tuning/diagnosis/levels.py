@@ -28,5 +28,3 @@ COARSE = 0.2  # the same of one effect alone whose details differ from machine t
 
 STRAINED = 4.0  # standard deviations of its prior, beyond which a nominal parameter makes up for something else
 IMPOSSIBLE = 6.0  # of the same: what no machine of this drive file has, and is explained before anything else
-
-BLOCK = 0.25  # s, over which two explanations are compared: longer than what is left of structure lasts

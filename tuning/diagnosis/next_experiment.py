@@ -25,7 +25,7 @@ from diffdrive.model.parameters import Sensor
 from diffdrive.motion.motion import Motion, require_within
 from diffdrive.numerics.arrays import as_arrays
 from tuning.diagnosis.diagnose import Diagnosis
-from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitted import Fitted, last_candidate
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.gap.gap import MOVING, drive_of
 from tuning.diagnosis.gap.where import SIGNIFICANT, Region
@@ -104,7 +104,7 @@ def _rivals(found: Diagnosis, cause: Belief) -> list[tuple[str, Fitted]]:
     A rival may be surer in another round: there it stands beside others, maybe beside the cause itself.
     """
     beliefs = found.verdict.beliefs
-    beside = {one.model.members[-1].candidate.name: one for one in found.explanation.rounds[cause.round].fits}
+    beside = {last_candidate(one).name: one for one in found.explanation.rounds[cause.round].fits}
     beside |= {one.effect: one.fitted for one in beliefs if one.round == cause.round}
     rivals = [one for one in beliefs if not one.found and one.effect in cause.alternatives]
     rivals.sort(key=lambda one: one.effect not in beside)

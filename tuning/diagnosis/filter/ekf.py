@@ -54,6 +54,11 @@ class EkfResult(NamedTuple):
     motor_deflection: Float[Array, "lanes n"] | None = None  # m, against the table, behind a screw
 
     @property
+    def normalised_innovation(self) -> Float[Array, "lanes n"]:
+        """Each innovation over the standard deviation expected of it."""
+        return self.innovation / self.innovation_std
+
+    @property
     def disturbance(self) -> Float[Array, "lanes n"]:
         """Force that the model lacks (N)."""
         return self.trajectory.disturbance

@@ -14,11 +14,8 @@ from tuning.diagnosis.filter.derivatives import StepJacobians, innovations_of_fo
 from tuning.diagnosis.filter.effect_signals import EffectSignals, Trajectory
 from tuning.diagnosis.filter.ekf import EkfResult, ProcessNoise, compiled_filter
 from tuning.diagnosis.fits.curvature import log_volume
-from tuning.diagnosis.hypotheses.model import (
-    Logged,
-    Model,
-    Vector,
-)
+from tuning.diagnosis.hypotheses.candidate import Candidate
+from tuning.diagnosis.hypotheses.model import Logged, Model, Vector
 
 
 class Point(NamedTuple):
@@ -62,6 +59,11 @@ class Fitted(NamedTuple):
         """-2 log of the probability of the logs under the hypothesis, up to a constant shared by all."""
         found = self.cost + self.second_encoder_deviance + log_volume(self.hessian)
         return found if np.isfinite(found) else np.inf
+
+
+def last_candidate(fitted: Fitted) -> Candidate:
+    """The effect that was added last."""
+    return fitted.model.members[-1].candidate
 
 
 compiled_step_jacobians = eqx.filter_jit(step_jacobians_along)

@@ -116,7 +116,7 @@ class Fitter:
         """Residuals, and the weights of those of their Jacobian."""
         filtered = point.filtered
         unit = 1.0 / np.sqrt(float(filtered.noise_scale_sq))
-        residual = (np.asarray(filtered.innovation) / np.asarray(filtered.innovation_std) * self.counts).ravel()
+        residual = (np.asarray(filtered.normalised_innovation) * self.counts).ravel()
         kept = unit * (np.abs(residual) < LOST)  # where the filter was lost, no small change would have told it
         return kept * residual, kept
 

@@ -17,11 +17,11 @@ from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.forces import EDGE_TIME, FrameVibration, ProcessForce
 from diffdrive.effects.friction import AppliedLoad, FrictionDwell, PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash, Compliance
+from tuning.diagnosis.blocks import block_sums
 from tuning.diagnosis.fits.curvature import solved
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.hypotheses.priors import Parameter
-from tuning.diagnosis.levels import BLOCK
 from tuning.identification.estimates import NORMAL
 
 DETAILS = {  # of a number: standard deviation of what another machine of its kind would call the same
@@ -45,8 +45,7 @@ def deviations(fitted: Fitted) -> Float[np.ndarray, " k"]:
     lanes, samples = model.logged.lanes.position.shape
     curved = solved(fitted.hessian, np.eye(jacobian.shape[1]))
     scores = (jacobian * fitted.residual[:, None]).reshape(lanes, samples, -1)
-    begins = np.arange(0, samples, max(1, round(BLOCK * model.logged.sampling.rate)))
-    pieces = np.add.reduceat(scores, begins, axis=1).reshape(-1, jacobian.shape[1])
+    pieces = block_sums(scores, model.logged.sampling.rate).reshape(-1, jacobian.shape[1])
     scattered = curved @ (pieces.T @ pieces + np.eye(jacobian.shape[1])) @ curved  # the prior is a score of its own
     units = np.eye(len(curved))
     units[: len(NAMES), : len(NAMES)] = model.prior

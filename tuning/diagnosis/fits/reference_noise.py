@@ -24,7 +24,7 @@ def lost_samples(fitted: Fitted) -> int:
 
 
 def _lost(filtered: EkfResult, counts: Float[np.ndarray, "lanes n"]) -> int:
-    ratio = np.abs(np.asarray(filtered.innovation) / np.asarray(filtered.innovation_std))
+    ratio = np.abs(np.asarray(filtered.normalised_innovation))
     return int(np.sum(~(ratio <= LOST) & (counts > 0.0)))  # one that ran away is
 
 

@@ -23,6 +23,7 @@ from diffdrive.loop.rollout import rollout_loop
 from diffdrive.loop.step import Inputs
 from diffdrive.model.parameters import Drive, Sampling
 from diffdrive.numerics.arrays import as_arrays
+from tuning.diagnosis.blocks import block_sums
 from tuning.diagnosis.filter.derivatives import StepJacobians, innovations_of_forcings
 from tuning.diagnosis.filter.effect_signals import Trajectory
 from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME, LOST, EkfResult, force_per_innovation
@@ -31,7 +32,6 @@ from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import BLIND
 from tuning.diagnosis.fits.reference_noise import share_lost
 from tuning.diagnosis.hypotheses.model import counted_in, delay_of
-from tuning.diagnosis.levels import BLOCK
 from tuning.identification.replay import ReplayInputs, initial_loop_state, replay_inputs
 
 TRUSTING = 0.1  # of the likeliest process force
@@ -75,10 +75,7 @@ class ForceGap(NamedTuple):
 
     def drawn(self, rate: float) -> Float[np.ndarray, " draws"]:
         """Mean squares (N^2) of logs made of blocks drawn anew; the same blocks for every model of the same logs."""
-        length = max(1, round(BLOCK * rate))
-        edges = np.arange(0, self.force.shape[1], length)
-        squares = np.add.reduceat(self.force**2, edges, axis=1).ravel()
-        counts = np.add.reduceat(self.counts, edges, axis=1).ravel()
+        squares, counts = (block_sums(each, rate).ravel() for each in (self.force**2, self.counts))
         squares, counts = squares[counts > 0], counts[counts > 0]
         picks = np.random.default_rng(0).integers(0, len(counts), (DRAWS, len(counts)))
         return np.maximum(squares[picks].sum(axis=1) / counts[picks].sum(axis=1), NONE)
@@ -111,7 +108,7 @@ def force_gap(fitter: Fitter, fitted: Fitted, process_noise: Float[np.ndarray, "
     trusting = fitter.at(
         model, theta, np.maximum(fitted.process_noise * TRUSTING, fitter.floor), fitted.filtered.trajectory
     ).filtered
-    surprise = np.minimum((np.asarray(trusting.innovation) / np.asarray(trusting.innovation_std)) ** 2, LOST**2)
+    surprise = np.minimum(np.asarray(trusting.normalised_innovation) ** 2, LOST**2)
     surprise = every * np.maximum(surprise - float(fitted.filtered.noise_scale_sq), 0.0)
     force = np.asarray(filtered.disturbance) + _per_sudden(fitter, fitted, filtered, process_noise) * np.asarray(
         filtered.innovation

@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft, ndimage
 
+from tuning.diagnosis.blocks import block_sums
 from tuning.diagnosis.filter.ekf import force_per_innovation
 from tuning.diagnosis.fits.fitted import Fitted
-from tuning.diagnosis.levels import BLOCK, SURELY
+from tuning.diagnosis.levels import SURELY
 
 MOST_PLACES = 2**21  # of a travel, told apart
 PEAKS, STRONG = 4, 2  # that stand out most from their neighbourhood, and those of a wide one
@@ -212,5 +213,5 @@ def _surely(
 ) -> bool:
     """Whether one fit explains more than another by more than chance and by more than a little."""
     over = (signal - other) ** 2 - (signal - fit) ** 2
-    blocks = np.add.reduceat(over, np.arange(0, signal.shape[1], max(1, round(BLOCK * rate))), axis=1)
+    blocks = block_sums(over, rate)
     return bool(blocks.sum() > max(SURELY * np.sqrt(np.sum(blocks**2)), (1.0 - AS_GOOD) * np.sum(fit**2)))

@@ -18,10 +18,10 @@ import scipy.stats
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+from tuning.diagnosis.blocks import BLOCK
 from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME
 from tuning.diagnosis.gap.gap import ForceGap
 from tuning.diagnosis.gap.lines import Standing, lines_in_position, lines_in_time, told_apart
-from tuning.diagnosis.levels import BLOCK
 from tuning.identification.prediction import Lanes
 from tuning.identification.shown_motion import SLOWEST
 

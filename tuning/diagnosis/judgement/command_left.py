@@ -18,14 +18,15 @@ from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.base import ActuatorEffect
 from diffdrive.model.actuator import saturate
 from diffdrive.model.current_loop import mean_forces
+from tuning.diagnosis.blocks import block_sums
 from tuning.diagnosis.filter.effect_signals import EffectSignals
 from tuning.diagnosis.fits.curvature import solved
-from tuning.diagnosis.fits.fitted import Fitted, residual_jvp
+from tuning.diagnosis.fits.fitted import Fitted, last_candidate, residual_jvp
 from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.gap.gap import sliding
 from tuning.diagnosis.hypotheses.model import delay_of
 from tuning.diagnosis.judgement.verdict import Verdict
-from tuning.diagnosis.levels import BLOCK, CHANCE, WORTH
+from tuning.diagnosis.levels import CHANCE, WORTH
 from tuning.diagnosis.selection.explanation import Explanation
 from tuning.identification.controller.signals import LOW_PASS
 
@@ -56,8 +57,7 @@ def follows_command(fitted: Fitted) -> float:
     residual = fitted.residual - fitted.jacobian @ left
     added = answers @ amounts - fitted.jacobian @ (making_way @ amounts)
     gained = (-added * (2.0 * residual + added)).reshape(velocity.shape)
-    pieces = np.add.reduceat(gained, np.arange(0, gained.shape[1], max(1, round(BLOCK * logged.sampling.rate))), axis=1)
-    return float(np.sum(np.clip(pieces, -WORTH, WORTH)))
+    return float(np.sum(np.clip(block_sums(gained, logged.sampling.rate), -WORTH, WORTH)))
 
 
 def downgraded_by_command(verdict: Verdict, found: Explanation) -> Verdict:
@@ -71,7 +71,7 @@ def downgraded_by_command(verdict: Verdict, found: Explanation) -> Verdict:
     if verdict.verdict != "effect" or best.model.coarse or best.model.coupled:
         return verdict
     rounds = found.rounds[: best.model.added]
-    signals = [one for one in rounds if issubclass(one.fits[0].model.members[-1].candidate.effect, ActuatorEffect)]
+    signals = [one for one in rounds if issubclass(last_candidate(one.fits[0]).effect, ActuatorEffect)]
     gains = [one.before.cost - one.fits[0].cost for one in signals] or [found.base.cost - best.cost]
     if not follows_command(best) > max(FOLLOWING if signals else CLOCKS, FOLLOWS * min(gains)):
         return verdict

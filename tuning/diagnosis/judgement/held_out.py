@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tuning.diagnosis.fits.fitted import last_candidate
 from tuning.diagnosis.fits.goodness_of_fit import is_plausible, restores_nominal
 from tuning.diagnosis.judgement.ladder import ModelComparison, known_floor
 from tuning.diagnosis.judgement.verdict import Verdict
@@ -92,7 +93,7 @@ def left_in_loop(comparisons: list[ModelComparison]) -> float | None:
     steps = [
         _left(before, after)
         for before, after in itertools.pairwise(comparisons[1:])
-        if after.fitted.model.members[-1].candidate.coarse
+        if last_candidate(after.fitted).coarse
     ]
     return share if all(one is not None and one < PROVED for one in steps) else None
 

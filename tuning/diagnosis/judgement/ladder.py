@@ -12,15 +12,15 @@ from jaxtyping import Float
 
 from diffdrive.controllers import Controller
 from diffdrive.logs import Log
+from tuning.diagnosis.blocks import block_sums
 from tuning.diagnosis.filter.ekf import LOST, EkfResult
-from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitted import Fitted, last_candidate
 from tuning.diagnosis.fits.fitting import NEAR, Fitter
 from tuning.diagnosis.fits.reference_noise import Forces, least_following, reference_process_noise
 from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.gap.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap, uncoupled
 from tuning.diagnosis.gap.splitting import Split, determined, of_session, split
 from tuning.diagnosis.hypotheses.calibration import NAMES
-from tuning.diagnosis.levels import BLOCK
 from tuning.diagnosis.selection.explanation import Explanation
 
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
@@ -68,10 +68,9 @@ def _at_control(fitter: Fitter, counts: Float[np.ndarray, "lanes n"], log: int) 
 def _unlikely(filtered: EkfResult, counts: Float[np.ndarray, "lanes n"], rate: float) -> Float[np.ndarray, " pieces"]:
     """The filter's deviance, less the number of samples, in pieces of time."""
     size, scatter = float(filtered.noise_scale_sq), np.asarray(filtered.innovation_std)
-    squares = np.minimum((np.asarray(filtered.innovation) / scatter) ** 2, LOST**2)
+    squares = np.minimum(np.asarray(filtered.normalised_innovation) ** 2, LOST**2)
     each = counts * (squares / size - 1.0 + np.log(size) + 2.0 * np.log(scatter))
-    begins = np.arange(0, counts.shape[1], max(1, round(BLOCK * rate)))
-    return np.add.reduceat(each, begins, axis=1)[np.add.reduceat(counts, begins, axis=1) > 0]
+    return block_sums(each, rate)[block_sums(counts, rate) > 0]
 
 
 def _told_by(fitter: Fitter, one: Fitted, process_noise: Forces) -> tuple[ForceGap, Forces]:
@@ -100,7 +99,7 @@ def compare_models(
     chain = [("recalibrated", base)]
     for number in range(found.best.model.added):
         one = found.rounds[number].fits[0]
-        chain.append((f"+ {one.model.members[-1].candidate.name}", one))
+        chain.append((f"+ {last_candidate(one).name}", one))
     believed = dataclasses.replace(base.model, logged=test.logged)
     still = test.fit(believed, np.zeros(base.model.size), base.process_noise, base.filtered.trajectory, 0)
 

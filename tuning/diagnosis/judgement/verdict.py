@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit
 
-from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitted import Fitted, last_candidate
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
     is_complete,
@@ -85,7 +85,7 @@ def _believed(looked: Round, number: int, left: float, found: bool, certain: flo
     """Every candidate of a round that was fitted; `certain` is how sure it is that one of them acts."""
     gains = np.array([looked.before.evidence - one.evidence for one in looked.fits])
     shares = np.r_[_probabilities(gains[: looked.rivals], left), np.zeros(len(gains) - looked.rivals)]
-    names = [one.model.members[-1].candidate.name for one in looked.fits]
+    names = [last_candidate(one).name for one in looked.fits]
     close = [name for name, share in zip(names, shares, strict=True) if share > DECLARED * shares[0]]
     return [
         Belief(
@@ -125,7 +125,7 @@ def _shared(
     sure = float(certain * shares[1])
     for number, looked in enumerate(found.other.rounds[: found.other.best.model.added]):
         fitted = looked.fits[0]
-        name = fitted.model.members[-1].candidate.name
+        name = last_candidate(fitted).name
         if name in theirs:
             gain = float(looked.before.evidence - fitted.evidence)
             shared = [one for one in shared if (one.effect, one.round) != (name, number)]

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from tuning.diagnosis.fits.curvature import limited, solved
-from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitted import Fitted, last_candidate
 from tuning.diagnosis.fits.fitting import NEAR, Fitter
 from tuning.diagnosis.fits.goodness_of_fit import (
     is_complete,
@@ -60,7 +60,7 @@ def _without(before: Fitted, best: Fitted) -> list[Vector]:
     """What `before` has free where a fit with one effect more ended: as it is, and moved to do without the effect."""
     count = before.theta.size
     found, own = best.theta[:count], best.jacobian[:, :count]
-    known = {one.name: one for one in best.model.members[-1].candidate.parameters}
+    known = {one.name: one for one in last_candidate(best).parameters}
     amounts = np.array([known[name].amplitude for _, name, _ in best.model.slots[count - len(NAMES) :]])
     if not amounts.any():
         return [found]
@@ -313,7 +313,7 @@ def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
     before that other one fitted from there: else that would have the credit. The same object where that leads nowhere.
     """
     best, last = found.best, found.best.model.added - 1
-    if last < 1 or best.model.members[-1].candidate.searched:
+    if last < 1 or last_candidate(best).searched:
         return found
     best = searched_again(fitter, found.base, best)
     if best is found.best:

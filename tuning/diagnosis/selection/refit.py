@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from tuning.diagnosis.fits.fitted import Fitted, Point
+from tuning.diagnosis.fits.fitted import Fitted, Point, last_candidate
 from tuning.diagnosis.fits.fitting import MOST_STEPS, NEAR, Fitter
 from tuning.diagnosis.fits.goodness_of_fit import is_complete, is_implausible
 from tuning.diagnosis.hypotheses.calibration import NAMES
@@ -65,7 +65,7 @@ def simpler(fitter: Fitter, before: Fitted, fits: Iterable[Fitted], kinds: Itera
     best = next(iter(possible(fits)), None)
     if best is None:
         return []
-    last, values = best.model.members[-1].candidate, best.model.values(best.theta)[-1]
+    last, values = last_candidate(best), best.model.values(best.theta)[-1]
     found = []
     for kind in kinds:
         if {one.name for one in kind.parameters} < {one.name for one in last.parameters}:

@@ -14,7 +14,7 @@ import numpy as np
 from diffdrive.errors import ParameterError
 from diffdrive.model.uncertainty import Uncertainty
 from tuning.diagnosis.filter.effect_signals import Trajectory
-from tuning.diagnosis.fits.fitted import Fitted
+from tuning.diagnosis.fits.fitted import Fitted, last_candidate
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import comparable_parameters, max_prior_deviation, restores_nominal
 from tuning.diagnosis.fits.threads import in_parallel
@@ -163,7 +163,7 @@ def _again(fitter: Fitter, before: Fitted, fits: Sequence[Fitted], left: Callabl
     near = CLOSE * (before.evidence - fits[0].evidence)
 
     def again(one: Fitted) -> Fitted:
-        searched = one.model.members[-1].candidate.searched and before.evidence - one.evidence >= near
+        searched = last_candidate(one).searched and before.evidence - one.evidence >= near
         return searched_again(fitter, before, one) if searched else one
 
     return in_parallel(again, fits)
@@ -179,8 +179,8 @@ def _ranked(before: Fitted, believed: Fitted | None, screened: list[Screened], f
         return Round(before, screened, every, len(every), 0.0)
     if relieving[0].evidence - every[0].evidence > max(believed.cost - before.cost, SETTLED):
         return Round(before, screened, every, len(every), 0.0)
-    named = {_name(one) for one in relieving}
-    others = [one for one in every if _name(one) not in named]
+    named = {last_candidate(one).name for one in relieving}
+    others = [one for one in every if last_candidate(one).name not in named]
     return Round(before, screened, [*relieving, *others], len(relieving), allowance(before, believed))
 
 
@@ -203,16 +203,11 @@ def _relieving(before: Fitted, believed: Fitted | None, fits: Sequence[Fitted]) 
     return sorted((one for one in fits if one.evidence < most and relieving(one)), key=lambda one: one.evidence)
 
 
-def _name(fitted: Fitted) -> str:
-    """The effect that was added last."""
-    return fitted.model.members[-1].candidate.name
-
-
 def first_of_each(fits: Iterable[Fitted]) -> list[Fitted]:
     """The first fit of each effect, in their order."""
     found: dict[str, Fitted] = {}
     for one in fits:
-        found.setdefault(_name(one), one)
+        found.setdefault(last_candidate(one).name, one)
     return list(found.values())
 
 
@@ -241,7 +236,7 @@ def _race(
     screened = sorted((one for one in found if one is not None), key=lambda one: -one.evidence)
     promising = _promising(screened)
     promising += _bringing_back(before, known, excluding(_likeliest(screened), promising))
-    alone = {one.model.members[-1].candidate.kind: one for one in known}
+    alone = {last_candidate(one).kind: one for one in known}
 
     def fitted(some: Sequence[Screened], done: int) -> list[Fitted]:
         return in_parallel(
@@ -281,7 +276,7 @@ def _bringing_back(before: Fitted, known: Sequence[Fitted], others: Sequence[Scr
 
     Best first, as they were then. That parameter may stand in for one of them, and screening sees nothing left for it.
     """
-    evidence = {_name(one): one.evidence for one in known if restores_nominal(one, before)}
+    evidence = {last_candidate(one).name: one.evidence for one in known if restores_nominal(one, before)}
     found = [one for one in others if one.candidate.name in evidence]
     return sorted(found, key=lambda one: evidence[one.candidate.name])[:BACK]
 

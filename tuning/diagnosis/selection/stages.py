@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tuning.diagnosis.fits.fitted import last_candidate
 from tuning.diagnosis.gap.gap import ForceGap
 from tuning.diagnosis.gap.where import SIGNIFICANT, Region
 from tuning.diagnosis.selection.search import Round
@@ -47,7 +48,7 @@ def of_round(looked: Round) -> Stage:
     there = looked.before.model
     found = [one.candidate.name for one in there.members[len(there.members) - there.added :]]
     name = f"search beside {' and '.join(found)}" if found else "search"
-    gains = [(one.model.members[-1].candidate.name, looked.before.evidence - one.evidence) for one in looked.fits]
+    gains = [(last_candidate(one).name, looked.before.evidence - one.evidence) for one in looked.fits]
     if not looked.worth_it:
         return Stage(name, "no effect explains enough more")
     first, *others = gains

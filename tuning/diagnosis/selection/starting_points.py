@@ -119,7 +119,7 @@ def starting_points(fitted: Fitted, candidate: Candidate) -> list[dict[str, np.n
         name, shortest, longest = SCALES[candidate.effect]
         finest = next((low for bound, low, _ in candidate.bounds if bound == name), 0.0)
         position, counts = np.asarray(fitted.filtered.trajectory.position), np.asarray(logged.lanes.counts)
-        surprise = np.asarray(fitted.filtered.innovation) / np.asarray(fitted.filtered.innovation_std) * counts
+        surprise = np.asarray(fitted.filtered.normalised_innovation) * counts
         surprise = np.where(np.abs(surprise) < LOST, surprise, 0.0)
         lines = [
             one

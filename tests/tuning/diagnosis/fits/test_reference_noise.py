@@ -20,9 +20,7 @@ def lost_with(share, screw=False):
     def at(_, theta, process_noise, trajectory):
         innovation = np.zeros((1, SAMPLES))
         innovation[0, : round(share(*process_noise) * SAMPLES)] = np.nan if share(*process_noise) == 1.0 else 10.0
-        return SimpleNamespace(
-            filtered=SimpleNamespace(innovation=innovation, innovation_std=np.ones((1, SAMPLES)), trajectory=None)
-        )
+        return SimpleNamespace(filtered=SimpleNamespace(normalised_innovation=innovation, trajectory=None))
 
     base = SimpleNamespace(model=model, theta=None, filtered=SimpleNamespace(trajectory=None))
     base._replace = lambda filtered: SimpleNamespace(model=model, filtered=filtered)

@@ -29,7 +29,7 @@ def _off(name, parameter, period, measured, force, noise):
     filtered = SimpleNamespace(
         kalman_gain=(flat, flat),
         innovation=noise[None],
-        innovation_std=1e-7 + flat,
+        normalised_innovation=noise[None] / (1e-7 + flat),
         disturbance=force[None],
         trajectory=trajectory,
     )
