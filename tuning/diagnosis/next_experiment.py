@@ -31,7 +31,7 @@ from tuning.diagnosis.gap.gap import MOVING, drive_of
 from tuning.diagnosis.gap.where import SIGNIFICANT, Region
 from tuning.diagnosis.hypotheses.model import Logged, Model, thinned
 from tuning.diagnosis.judgement.verdict import Belief
-from tuning.diagnosis.levels import LACKING
+from tuning.diagnosis.levels import COLDEST, EXCLUDED, LEFT
 from tuning.experiment_design.next_motion import ACCELERATION, available_limits, candidates
 from tuning.identification.prediction import Lanes
 
@@ -88,10 +88,11 @@ def next_experiment(found: Diagnosis, description: Axis) -> Experiment:
         return _misfit(first.fitted, fitted, description, inputs, steps)
 
     best, tells = _surest({name: tells_of(name, STEPS) for name in tried}, lambda name: tells_of(name, MORE))
-    if tells < LACKING:
+    needed = EXCLUDED * max(COLDEST, LEFT * (first.gain + tells))  # by which a verdict excludes a rival
+    if tells < needed:
         says = (
             f"None of the {len(tried)} motions tried would distinguish {between[0]} from {between[1]} "
-            f"(the best by {tells:.0f} in -2 log likelihood, {LACKING:.0f} being enough)."
+            f"(the best by {tells:.0f} in -2 log likelihood, {needed:.0f} being enough)."
         )
         return Experiment("", between, tells, says)
     says = f"The motion {best} would distinguish {between[0]} from {between[1]} (by {tells:.0f} in -2 log likelihood)."

@@ -22,6 +22,7 @@ from tuning.diagnosis.hypotheses.calibration import TOLERANCE
 from tuning.diagnosis.hypotheses.catalogue import candidates as hypotheses
 from tuning.diagnosis.hypotheses.model import Model
 from tuning.diagnosis.hypotheses.setting import setting
+from tuning.diagnosis.levels import LACKING
 from tuning.diagnosis.next_experiment import next_experiment
 from tuning.diagnosis.selection.screening import joined
 from tuning.diagnosis.selection.search import recalibrated
@@ -33,7 +34,10 @@ MOTIONS = candidates(DRIVE.drive, DRIVE.limits, RATE, MIDDLE)
 
 
 def belief(effect, found=True, alternatives=(), round=0):
-    return SimpleNamespace(effect=effect, found=found, round=round, alternatives=list(alternatives), fitted=effect)
+    alternatives = list(alternatives)
+    return SimpleNamespace(
+        effect=effect, found=found, round=round, alternatives=alternatives, fitted=effect, gain=100.0
+    )
 
 
 def diagnosed(verdict, *beliefs, where=(), unexplained=1.0, deficits=(), says="as it is", rounds=((), ())):
@@ -115,7 +119,7 @@ def test_a_motion_is_simulated_with_one_cause_and_read_by_the_other():
         fits.append(fitter.fit(model, theta, base.process_noise, base.filtered.trajectory, 2))
     stroke = list(MOTIONS.values())[-1]
     inputs = loop_inputs(stroke, np.zeros(len(stroke.time)))
-    assert module._misfit(fits[0], fits[1], DRIVE, inputs, module.STEPS) > module.LACKING
+    assert module._misfit(fits[0], fits[1], DRIVE, inputs, module.STEPS) > LACKING
     assert abs(module._misfit(fits[0], fits[0], DRIVE, inputs, module.STEPS)) < 1e-6
 
 

@@ -51,13 +51,15 @@ def missing_evidence(fitter: Fitter, fitted: Fitted) -> float:
     commands between. The effects are stepped along the same course in both: where one remembers when the table stood
     still, that makes a difference of its own.
     """
-    least = np.minimum(fitted.process_noise, relevant_forces(fitter, fitted))
+    allowed = relevant_forces(fitter, fitted)
+    least = np.minimum(fitted.process_noise, allowed)
     if fitter.logged.of_snapshots:
         there = fitter.at(fitted.model, fitted.theta, fitted.process_noise, fitted.filtered.trajectory)
         sudden = np.append(np.geomspace(fitter.least, MOST, UNTOLD), fitted.process_noise[1])
         any_sudden = np.stack([np.full(len(sudden), least[0]), sudden], axis=1)
         least = fitter.with_process(there, fitted.model, any_sudden).process_noise
-    return _evidence_against(fitter, fitted, least)
+    # a force that lasts and a sudden one stand in for one another: of what is allowed, the likelier counts
+    return _evidence_against(fitter, fitted, least, allowed)
 
 
 def sudden_force_evidence(fitter: Fitter, fitted: Fitted) -> float:
@@ -72,13 +74,13 @@ def sudden_force_evidence(fitter: Fitter, fitted: Fitted) -> float:
     return max(found, 0.0) if np.isfinite(found) else 0.0
 
 
-def _evidence_against(fitter: Fitter, fitted: Fitted, process_noise: Float[np.ndarray, " 2"]) -> float:
-    """By how much a fit is likelier with its own process forces (N) than with these."""
-    with_these, with_own = (
+def _evidence_against(fitter: Fitter, fitted: Fitted, *others: Float[np.ndarray, " 2"]) -> float:
+    """By how much a fit is likelier with its own process forces (N) than with the likeliest of others."""
+    with_own, *with_others = (
         fitter.at(fitted.model, fitted.theta, one, fitted.filtered.trajectory).cost
-        for one in (process_noise, fitted.process_noise)
+        for one in (fitted.process_noise, *others)
     )
-    return with_these - with_own if np.isfinite(with_these) and np.isfinite(with_own) else np.inf
+    return min(with_others) - with_own if np.isfinite(with_own) and np.isfinite(min(with_others)) else np.inf
 
 
 def missing(fitter: Fitter, fitted: Fitted) -> float:
@@ -103,7 +105,7 @@ def power_left(base: Fitted, fitted: Fitted) -> float:
 
 
 def share_left(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
-    """Share of what the recalibrated drive is missing that a fit leaves.
+    """Share of what the recalibrated drive is missing that a fit leaves; 0 where nothing is missing any more.
 
     The details of a coarse effect differ from machine to machine: they leave little force, plain as it may be to see.
     Where the filter was lost in blows, it is those that count; where it was lost all along, how much force it had to
@@ -112,6 +114,8 @@ def share_left(fitter: Fitter, base: Fitted, fitted: Fitted) -> float:
     before, after = max(missing(fitter, base), 1.0), missing(fitter, fitted)
     if not np.isfinite(after):
         return 1.0
+    if after <= LACKING:
+        return 0.0
     share = after / before if np.isfinite(before) else power_left(base, fitted)
     if fitted.model.coarse or is_lost_throughout(fitter, base):
         share = min(share, power_left(base, fitted))
@@ -147,8 +151,8 @@ def is_implausible(one: Fitted, other: Fitted) -> bool:
 
 
 def max_prior_deviation(fitted: Fitted, among: Sequence[str] | None = None) -> float:
-    """By how many standard deviations of the prior the furthest nominal parameter was moved, of those that are `meant`
-    or of others.
+    """By how many standard deviations of the prior the furthest nominal parameter was moved, of `among` or of
+    those that are comparable.
     """
     return float(np.abs(_moved(fitted, among or comparable_parameters(fitted))).max())
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from diffdrive.support.spans import rescaled
 from tuning.diagnosis.gap.dependence import Dependence
-from tuning.diagnosis.levels import WORTH
+from tuning.diagnosis.levels import LACKING
 
 DIGITS = 2
 NAMES = {
@@ -36,7 +36,7 @@ def dependences_say(found: Sequence[Dependence], what: str) -> str:
     """One sentence: the likeliest, and those that are as likely."""
     if not found:
         return f"{what} depends on nothing in particular: neither place, speed, time nor command explains any of it"
-    alike = [one for one in found if one.evidence > found[0].evidence - WORTH]
+    alike = [one for one in found if one.evidence > found[0].evidence - LACKING]
     return f"{what} looks most like {', or '.join(map(dependence_says, alike))}"
 
 

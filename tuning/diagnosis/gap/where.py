@@ -22,6 +22,7 @@ from tuning.diagnosis.blocks import BLOCK
 from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME
 from tuning.diagnosis.gap.gap import ForceGap
 from tuning.diagnosis.gap.lines import Standing, lines_in_position, lines_in_time, told_apart
+from tuning.diagnosis.levels import DECLARED
 from tuning.identification.prediction import Lanes
 from tuning.identification.shown_motion import SLOWEST
 
@@ -33,7 +34,7 @@ STEADY = 0.15  # of the largest acceleration, below which a motion is a cruise
 PLACES, TIMES, SPEEDS = 6, 6, 4
 BANDS = (0.0, 2.0, 10.0, 30.0, 100.0)  # Hz; above, the force is the measuring noise
 FAINT = 0.01  # of the gap: a line or a band with less is not worth telling, sure as it may be
-SIGNIFICANT = 0.05
+SIGNIFICANT = DECLARED
 
 Labels = Bool[np.ndarray, "lanes n"]
 

@@ -12,7 +12,7 @@ from tuning.diagnosis.judgement.verdict import Verdict
 from tuning.diagnosis.levels import DETAILS, IMPOSSIBLE, SURELY, WORTH
 from tuning.diagnosis.selection.explanation import Explanation
 
-HIDDEN = 1.05  # times the floor: a gap below is none, and no share of it means anything
+HIDDEN = 1.0 + DETAILS  # times the floor: a gap below is none, and no share of it means anything
 PLAIN = 2.0  # times the floor's mean square: a gap, be it in a single place, which draws of pieces may miss
 PROVED = 0.5  # of the gap beyond the floor, that must be gone
 ENLARGED = 2.5  # times its floor: more than what the details of a coarse effect leave

@@ -27,7 +27,6 @@ from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Round
 
 ROUGH = 0.08  # more of it, in proportion to what is left unexplained
-BLURRED = 0.25  # of the evidence that is enough: by so much it is not known
 TOLD = 0.005  # unexplained, from which on it is said
 SHARPNESS = 3.0  # by which factor more or less makes it sure
 UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it; where much is left, how sure one is
@@ -159,7 +158,7 @@ def _worth(gain: float, enough: float) -> float:
     """
     if not np.isfinite(enough):
         return 0.0
-    return float(expit((gain - enough) / max(COLDEST, BLURRED * enough)))
+    return float(expit((gain - enough) / max(COLDEST, COARSE * enough)))
 
 
 def judge(

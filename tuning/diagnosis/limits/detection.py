@@ -31,10 +31,11 @@ from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.hypotheses.candidate import WAVE, Candidate
 from tuning.diagnosis.hypotheses.model import Vector, effect_in_lanes
 from tuning.diagnosis.hypotheses.priors import ITSELF, Parameter
+from tuning.diagnosis.levels import STRAINED
 from tuning.diagnosis.selection.screening import DEARNESS, Values, begin, joined, sensitivities
 
 EITHER = (-1.0, 1.0)  # deviations of its prior, to which each parameter is moved from its usual value
-UNEXPECTED = 4.0  # deviations of its prior: a larger amplitude is none that anyone would expect
+UNEXPECTED = STRAINED  # deviations of its prior: a larger amplitude is none that anyone would expect
 SIZES = np.linspace(-8.0, 4.0, 7)  # deviations of the prior, at which an effect that is not linear in its size is tried
 DECADES = np.geomspace(1e-4, 4.0, 5)  # the same of a size that is normal about zero
 INSIDE = 1e-3  # of a bound, by which a size is inside it

@@ -111,13 +111,13 @@ class _Search:
     most: int
     tell: Tell = unheard
 
-    def left(self, base: Fitted, one: Fitted) -> float:
-        """The share of the gap that a fit leaves."""
-        return 0.0 if is_complete(self.fitter, one) else share_left(self.fitter, base, one)
-
     def is_explained(self, base: Fitted, one: Fitted) -> bool:
         """Whether nothing is missing any more but details."""
-        return is_sufficient(one, partial(self.left, base)) if one.model.coarse else is_complete(self.fitter, one)
+        return (
+            is_sufficient(one, partial(share_left, self.fitter, base))
+            if one.model.coarse
+            else is_complete(self.fitter, one)
+        )
 
     def is_settled(self, base: Fitted, one: Fitted) -> bool:
         """Whether there is nothing left to explain, neither a force nor a number moved far."""
@@ -144,7 +144,9 @@ class _Search:
             seen = self.fitter.twist is not None
             catalogue = [one for one in catalogue if is_looked_for(one, logged, seen, not done)]
         known = [one for one in rounds[0].fits if rounds[0].before.evidence - one.evidence > WORTH] if rounds else ()
-        found = select_next_effect(self.fitter, before, catalogue, self.progress, partial(self.left, base), known)
+        found = select_next_effect(
+            self.fitter, before, catalogue, self.progress, partial(share_left, self.fitter, base), known
+        )
         self.tell(of_round(self.with_evidence_needed(base, found)))
         return found
 

@@ -9,10 +9,8 @@ from tuning.diagnosis.fits.goodness_of_fit import (
     max_prior_deviation,
     restores_nominal,
 )
-from tuning.diagnosis.levels import DETAILS, STRAINED, WORTH
+from tuning.diagnosis.levels import COARSE, DETAILS, STRAINED, WORTH
 from tuning.diagnosis.selection.search import Round, excluding
-
-NEARLY = 0.8  # of what the first effect explained, that a rival must to be tried in its place
 
 
 class Explanation(NamedTuple):
@@ -66,7 +64,7 @@ def other_first(found: Explanation) -> Round | None:
         return max_prior_deviation(one, among) < max(STRAINED, max_prior_deviation(best, among))
 
     bringing_back = [one for one in others if restores_nominal(one, found.best)]
-    near = [one for one in others if gain(one) > NEARLY * gain(best) and no_further(one)]
+    near = [one for one in others if gain(one) > (1.0 - COARSE) * gain(best) and no_further(one)]
     for one in [*bringing_back, *near]:
         if gain(one) > WORTH:
             return first._replace(fits=[one, *excluding(first.fits, [one])], rivals=1, allowance=0.0, enough=WORTH)

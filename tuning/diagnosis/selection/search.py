@@ -40,7 +40,7 @@ FITTED = 5  # candidates of a round that are fitted
 BACK = 2  # of those fitted that were believed before another was known, beside what is promising now
 CLOSE = 0.7  # of the best gain, that an effect must bring to be searched for again
 FINISH, STAYS = 3, 0.5  # how many are fitted to the end, and the share of the best gain by then that it takes
-SETTLED = 200.0  # in evidence, of an effect that explains everything: no other needs to be searched for
+SETTLED = WORTH / DETAILS  # in evidence, of one that explains everything: what its details make is worth an effect
 
 Progress = Callable[[str, int, int], None]
 A = TypeVar("A")

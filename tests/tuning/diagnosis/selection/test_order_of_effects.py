@@ -332,13 +332,33 @@ def test_an_effect_is_held_against_the_sudden_force_that_does_without_it_between
 @pytest.mark.parametrize("base", [1e4, np.inf])
 @pytest.mark.parametrize("after", [np.inf, np.nan])
 def test_a_filter_that_runs_away_explains_nothing(monkeypatch, base, after):
-    ran = {0.0: base, -1.0: after, -2.0: 1.0}
+    ran = {0.0: base, -1.0: after, -2.0: 100.0}
     monkeypatch.setattr(goodness_of_fit, "missing", lambda fitter, one: ran[one.evidence])
     before, runaway, sound = (fake_fit(evidence=one) for one in ran)
     for one, process_noise in ((before, 2.0), (runaway, 1.0), (sound, 0.1)):
         one.process_noise = np.array([process_noise, 0.0])
     assert share_left(None, before, runaway) == 1.0
-    assert share_left(None, before, sound) == pytest.approx(1e-4 if np.isfinite(base) else 0.0025)
+    assert share_left(None, before, sound) == pytest.approx(1e-2 if np.isfinite(base) else 0.0025)
+
+
+def test_of_the_forces_that_are_allowed_the_likeliest_counts(monkeypatch):
+    """A log of a small force that lasts, which the fit told by a larger sudden one."""
+    costs = {(0.0, 2.0): 0.0, (0.0, 1.0): 100.0, (1.0, 1.0): 10.0}
+    fitter = SimpleNamespace(
+        logged=SimpleNamespace(of_snapshots=False),
+        at=lambda model, theta, forces, along: SimpleNamespace(cost=costs[tuple(forces)]),
+    )
+    monkeypatch.setattr(goodness_of_fit, "relevant_forces", lambda *_: np.array([1.0, 1.0]))
+    fit = fake_fit(evidence=0.0)
+    fit.process_noise, fit.filtered = np.array([0.0, 2.0]), SimpleNamespace(trajectory=None)
+    assert missing_evidence(fitter, fit) == 10.0
+
+
+@pytest.mark.parametrize(("after", "left"), [(LACKING, 0.0), (2.0 * LACKING, 0.5)])
+def test_of_a_small_gap_nothing_is_left_where_nothing_is_missing_any_more(monkeypatch, after, left):
+    """As a share of a gap that is hardly one, what chance leaves would be much."""
+    monkeypatch.setattr(goodness_of_fit, "missing", lambda fitter, one: 4.0 * LACKING if not one.evidence else after)
+    assert share_left(None, fake_fit(evidence=0.0), fake_fit("cogging", evidence=-80.0)) == left
 
 
 def test_of_a_filter_that_was_lost_all_along_the_invented_force_counts(monkeypatch):
