@@ -197,12 +197,16 @@ def run_filter(
         usual = jnp.sqrt(jnp.mean((acts.force - acts.beside) ** 2))
         spread = (*beside, *motor_state.unknown(coupled, drive, usual))
         again = diagonal((jnp.asarray(RESTART_STD) ** 2, *spread))
+        # what begins as a constant and differs from lane to lane later has JAX trace the loop once more for each batch
+        nil = 0.0 * (lane.position[0] + acts.force[0] + process_noise.ar1_std)
+        first = (begin, diagonal((measured_variance, *spread)), effects)
+        carry = jax.tree.map(lambda leaf: leaf + nil if jnp.issubdtype(leaf.dtype, jnp.inexact) else leaf, first)
 
         def step(carry: PyTree, at: PyTree) -> tuple[PyTree, PyTree]:
             return body(carry, (*at, coupled, again))
 
         along = (lane.position, lane.load, acts._replace(ripple=in_substeps(acts, sampling)), time)
-        return lax.scan(step, (begin, diagonal((measured_variance, *spread)), effects), along)[1]
+        return lax.scan(step, carry, along)[1]
 
     def begun(
         lane: Lanes, acts: EffectSignals, coupled: tuple[Effect, ...], trajectory: Trajectory | None

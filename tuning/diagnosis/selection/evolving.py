@@ -6,13 +6,13 @@ population does, on seconds of the log in the place of all of it.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Float, PyTree
 from scipy.stats import qmc
 
@@ -102,19 +102,22 @@ def _deviances(
     noise: Scalar,
     sampling: Sampling,
 ) -> Float[Array, " s"]:
-    def one(coupled: Effects, push: Float[Array, ""], process_noise: Float[Array, " 2"]) -> Float[Array, ""]:
-        under = stretches.under
+    """Of members side by side, each over all stretches: a single batch, since each further one is traced anew."""
+    members, pieces = len(push), len(stretches.lanes.position)
+
+    def each(coupled: Effects, push: Scalar, process_noise: Float[Array, " 2"], stretch: Stretches) -> PyTree:
+        under = stretch.under
         pushed = under._replace(force=under.force + push, beside=under.beside + push)
+        lane, acts, effects = jax.tree.map(lambda leaf: leaf[None], (stretch.lanes, pushed, coupled))
+        filtered = compiled_filter(drive, acts, effects, ProcessNoise(*process_noise), noise, lane, sampling)
+        return filtered.innovation[0], filtered.innovation_std[0]
 
-        def each(*stretch: PyTree) -> tuple[Array, Array]:  # all side by side: short as they are, that is faster
-            lanes, under, coupled = jax.tree.map(lambda leaf: leaf[None], stretch)
-            filtered = compiled_filter(drive, under, coupled, ProcessNoise(*process_noise), noise, lanes, sampling)
-            return filtered.innovation[0], filtered.innovation_std[0]
-
-        innovation, scatter = jax.vmap(each)(stretches.lanes, pushed, coupled)
-        return deviance_of(innovation, scatter, stretches.lanes.counts)[0]
-
-    return lax.map(lambda each: one(*each), (coupled, push, process_noise), batch_size=AT_ONCE)
+    of_each = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), coupled)
+    along = jax.tree.map(lambda leaf: jnp.tile(leaf, (members, *[1] * (leaf.ndim - 1))), stretches)
+    pushes, noises = (jnp.repeat(jnp.asarray(one), pieces, axis=0) for one in (push, process_noise))
+    found = jax.vmap(each)(of_each, pushes, noises, along)
+    innovation, scatter = (one.reshape(members, pieces, -1) for one in found)
+    return jax.vmap(lambda one, std: deviance_of(one, std, stretches.lanes.counts)[0])(innovation, scatter)
 
 
 def evolved_once(
@@ -173,20 +176,23 @@ def evolved(fitted: Fitted, model: Model, index: int, theta: Vector, seed: int |
         return candidate.effect(**{name: np.broadcast_to(value, size) for name, value in fields.items()})
 
     lanes = np.array([logged.owner.index(k) for k in owner])
-    beside = within and jax.tree.map(lambda one: one[lanes], within)
-
-    def besides(count: int) -> Effects:
-        return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *leaf.shape)), (*beside,))
+    beside = jax.tree.map(lambda one: np.broadcast_to(one[lanes], (AT_ONCE, len(lanes))), (*within,))
 
     def costs(shares: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " s"]:
-        filled = np.pad(shares, ((0, -len(shares) % AT_ONCE), (0, 0)), mode="edge")  # one program for any number
-        blocks = np.split(filled, len(filled) // AT_ONCE)
-        found = [deviances(some, (*besides(AT_ONCE), in_stretches(some))) for some in blocks]
-        return np.concatenate(found)[: len(shares)]
+        return deviances(shares, lambda some: (in_stretches(some),))
 
-    def deviances(shares: Float[np.ndarray, "s k"], members: Effects) -> Float[np.ndarray, " s"]:
-        push = PUSH * level * (2.0 * shares[:, -2] - 1.0)
-        return np.asarray(_deviances(drive, stretches, members, push, forces(shares), logged.noise, logged.sampling))
+    def deviances(
+        shares: Float[np.ndarray, "s k"], added: Callable[[Float[np.ndarray, "s k"]], Effects]
+    ) -> Float[np.ndarray, " s"]:
+        filled = np.pad(shares, ((0, -len(shares) % AT_ONCE), (0, 0)), mode="edge")  # one program for any number
+        found = [
+            _deviances(
+                drive, stretches, (*beside, *added(some)), PUSH * level * (2.0 * some[:, -2] - 1.0), forces(some),
+                logged.noise, logged.sampling,
+            )
+            for some in np.split(filled, len(filled) // AT_ONCE)
+        ]  # fmt: skip
+        return np.concatenate(found)[: len(shares)]
 
     def searched(start: Float[np.ndarray, " k"], seed: int, target: float) -> Minimum:
         apart = SAMPLE ** (-1.0 / len(start))  # of the points of a sample, from one to the next
@@ -199,7 +205,7 @@ def evolved(fitted: Fitted, model: Model, index: int, theta: Vector, seed: int |
         share = searched(first, seed, np.inf).share
         return Evolved(values(share), forces(share))
     around = qmc.Sobol(2, seed=0).random(WITHOUT)
-    without = float(np.nanmin(deviances(around, besides(WITHOUT)), initial=np.inf))
+    without = float(np.nanmin(deviances(around, lambda _: ()), initial=np.inf))
     sample = np.vstack([first, qmc.Sobol(len(first), seed=0).random(SAMPLE)])
     found = searched(sample[int(np.argmin(np.nan_to_num(costs(sample), nan=np.inf)))], 0, without)
     return Evolved(values(found.share), forces(found.share)) if found.cost < without else None
