@@ -12,7 +12,7 @@ from tuning.diagnosis.selection.screening import _screened, _without_answers, be
 from tuning.diagnosis.selection.search import recalibrated
 from tuning.diagnosis.selection.starting_points import starting_points
 
-BRINGS = 20.0  # of evidence: what brings less is not found
+BRINGS = 20.0  # of evidence: what brings less hardly counts
 WITHIN = [
     Compliance(frequency=313.0, damping=0.03, motor_share=0.36, table_friction=0.61),
     Backlash(gap=5e-6, frequency=450.0, damping=0.08, motor_share=0.4, table_friction=0.4),
