@@ -60,7 +60,7 @@ def test_a_delay_is_told_from_a_lag_by_what_follows_the_command(late):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(LATE))
 def test_it_is_told_whatever_the_noise(name):
-    """What the wrong one leaves hangs on it: 30 with one of these for the lag, which is too little, 61 and more else."""
+    """What the wrong one leaves hangs on it: 30 with one of these for the lag, too little, 61 and more else."""
     told = [[follows_command(found.best) for found in explained(name, seed)] for seed in range(1, 6)]
     assert max(right for right, _ in told) < 0.5 * FOLLOWING
     assert sum(wrong > 1.5 * FOLLOWING for _, wrong in told) >= 4
