@@ -7,10 +7,17 @@ import pytest
 
 from tuning.diagnosis.fits import goodness_of_fit
 from tuning.diagnosis.fits.fitted import last_candidate
+from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.hypotheses.calibration import NAMES, tolerated
 from tuning.diagnosis.selection import explain
 
 SEARCHED = ("backlash", "compliance")
+
+
+class FakeFitter(SimpleNamespace):
+    """A fitter of some methods, by which a true one's others are made."""
+
+    refit, again = Fitter.refit, Fitter.again
 
 
 def fake_fit(*effects, evidence, max_prior_deviation=0.0, coarse=False):
@@ -20,8 +27,9 @@ def fake_fit(*effects, evidence, max_prior_deviation=0.0, coarse=False):
         for one in effects
     )
     model = SimpleNamespace(
-        members=members, added=len(effects), coarse=coarse, coupled=coarse, possible=lambda theta: True,
-        prior=tolerated(0.02), logged=SimpleNamespace(of_snapshots=False, command_std=0.0),
+        members=members, added_candidates=[one.candidate for one in members], added=len(effects), coarse=coarse,
+        coupled=coarse, possible=lambda theta: True, prior=tolerated(0.02),
+        logged=SimpleNamespace(of_snapshots=False, command_std=0.0),
     )  # fmt: skip
     return SimpleNamespace(
         model=model, evidence=evidence, cost=evidence, theta=np.r_[max_prior_deviation, np.zeros(len(NAMES) - 1)]

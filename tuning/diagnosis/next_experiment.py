@@ -248,7 +248,7 @@ def _misfit(truth: Fitted, rival: Fitted, description: Axis, inputs: Inputs, ste
 
 def _alone(fitted: Fitted, logged: Logged) -> tuple[Model, np.ndarray]:
     """The model and its numbers on the first log alone."""
-    model = dataclasses.replace(fitted.model, logged=logged)
+    model = fitted.model.on(logged)
     kept = [log is None or log == 0 for _, _, log in fitted.model.slots]
     calibration = fitted.model.size - len(kept)
     return model, np.r_[fitted.theta[:calibration], fitted.theta[calibration:][kept]]

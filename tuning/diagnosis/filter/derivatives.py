@@ -66,17 +66,8 @@ def step_jacobians_along(
         return jax.jacrev(lambda args: period(again(args), load, ripple))(flat)  # three ways back, some twenty ahead
 
     force = under.force + filtered.disturbance
-    trajectory, ripple = filtered.trajectory, in_substeps(under, sampling)
-    samples = (
-        trajectory.velocity,
-        trajectory.bristle,
-        force,
-        under.coulomb,
-        under.gap,
-        under.viscous,
-        lanes.load,
-        ripple,
-    )
+    table = (filtered.trajectory.velocity, filtered.trajectory.bristle)
+    samples = (*table, force, under.coulomb, under.gap, under.viscous, lanes.load, in_substeps(under, sampling))
     shape = filtered.disturbance.shape
     flat = jax.tree.map(lambda one: one.reshape(-1, *one.shape[2:]), samples)
     jac = lax.map(at, flat, batch_size=BATCH)
@@ -112,14 +103,5 @@ def innovations_of_forcings(
         begin = (-off[0], *(jnp.zeros(m) for _ in range(3)))
         return lax.scan(body, begin, (gain, innovation_std, state, push, forced, off))[1]
 
-    return lax.map(
-        one,
-        (
-            filtered.kalman_gain,
-            filtered.innovation_std,
-            step_jacobians.state,
-            step_jacobians.signals[..., 0],
-            forcing,
-            scale,
-        ),
-    )
+    given = (filtered.kalman_gain, filtered.innovation_std, step_jacobians.state, step_jacobians.signals[..., 0])
+    return lax.map(one, (*given, forcing, scale))

@@ -89,16 +89,9 @@ def effect_signals(
             # of each substep, so that a delay, which needs those, runs in the filter that is compiled already
             ripple = jnp.repeat(jnp.stack([push.mean - force for push in pushes]), held) if parts > 1 else None
             seen = Seen(
-                start + count * period,
-                table.position,
-                table.velocity,
-                table.bristle,
-                force,
-                table.friction,
-                load,
-                pushed,
-                disturbance=table.disturbance,
-            )
+                start + count * period, table.position, table.velocity, table.bristle, force, table.friction, load,
+                pushed, disturbance=table.disturbance,
+            )  # fmt: skip
             states, acts = stages.table_action(effects, states, seen, machine, period)
             scale = stages.scale_error(effects, table.position)
             shift = acts.shift + sum(stages.slope_displacement(machine, push.slope, period / parts) for push in pushes)

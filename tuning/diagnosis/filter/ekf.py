@@ -94,10 +94,8 @@ def _begun(
         return tuple(ahead), states
 
     lasting = tuple(effect for effect in coupled if isinstance(effect, TableEffect) and effect.has_memory)
-    count, travel = (
-        jnp.arange(len(load), dtype=load.dtype),
-        jnp.diff(trajectory.position, append=trajectory.position[-1:]),
-    )
+    count = jnp.arange(len(load), dtype=load.dtype)
+    travel = jnp.diff(trajectory.position, append=trajectory.position[-1:])
     along = lax.scan(step, stages.initial_states(lasting, under.force[0]), (count, under, load, trajectory, travel))[1]
     found = iter(jax.tree.map(lambda leaf: leaf[begins], along))
     return tuple(
@@ -169,18 +167,10 @@ def run_filter(
         moved, columns = plant.advance_with_tangents(machine, table, force, load, *step, ways, acts.ripple)
         rows = motor_state.transition(columns, answers, ar1_coeff)
         ahead = (position + acts.shift + moved.position, moved.velocity, moved.bristle, ar1_coeff * disturbance)
-        covariance = predict_covariance(
-            covariance,
-            rows,
-            (0.0, velocity_noise_var, 0.0, ar1_variance, *motor_state.velocity_noise_vars(coupled, velocity_noise_var)),
-        )
-        return (ahead, covariance, effects), (
-            now,
-            innovation,
-            innovation_std,
-            gain[: len(ahead)],
-            motor[0] if motor else None,
-        )
+        motor_vars = motor_state.velocity_noise_vars(coupled, velocity_noise_var)
+        covariance = predict_covariance(covariance, rows, (0.0, velocity_noise_var, 0.0, ar1_variance, *motor_vars))
+        shown = (now, innovation, innovation_std, gain[: len(ahead)], motor[0] if motor else None)
+        return (ahead, covariance, effects), shown
 
     pieces = segments(lanes.position.shape[1], sampling.rate)
     time = jnp.asarray(pieces.samples * sampling.period)
@@ -225,9 +215,8 @@ def run_filter(
         found = jax.vmap(segment, (0, 0, 0, 0, None))(*beside, coupled)
         return jax.tree.map(pieces.joined, found)
 
-    states = jax.vmap(begun)(
-        lanes, under, coupled, trajectory
-    )  # side by side: one after the other takes as long for each
+    # side by side: one after the other takes as long for each
+    states = jax.vmap(begun)(lanes, under, coupled, trajectory)
     found = lax.map(lambda each: one(*each), (lanes, under, coupled, states))
     trajectory, innovation, innovation_std, gain, motor = found
     return EkfResult(

@@ -81,16 +81,8 @@ class Fitter:
             drive, signals, coupled, ProcessNoise(*jnp.asarray(process_noise)), *self.given, trajectory
         )
         cost = float(filtered.deviance) + float(theta @ theta)
-        return Point(
-            theta,
-            process_noise,
-            recalibrated_drive,
-            drive,
-            signals,
-            trajectory,
-            filtered,
-            cost if np.isfinite(cost) else np.inf,
-        )
+        cost = cost if np.isfinite(cost) else np.inf
+        return Point(theta, process_noise, recalibrated_drive, drive, signals, trajectory, filtered, cost)
 
     def with_process(self, point: Point, model: Model, processes: np.ndarray) -> Point:
         """The same point under the likeliest of these process forces, its effects along its own trajectory."""
@@ -186,6 +178,15 @@ class Fitter:
         settled = self.settled(model, point.theta, point.process_noise, point.next_trajectory)
         return self._linearised(model, settled, steps)
 
+    def refit(self, start: Point | Fitted, model: Model, most: int = MOST_STEPS, free: Vector | None = None) -> Fitted:
+        """`fit` from where another ended, or from a point."""
+        return self.fit(model, start.theta, start.process_noise, start.filtered.trajectory, most, free)
+
+    def again(self, fitted: Fitted, process_noise: np.ndarray | None = None) -> Point:
+        """The hypothesis of a fit along its last trajectory, with its own process noise or another."""
+        noise = fitted.process_noise if process_noise is None else process_noise
+        return self.at(fitted.model, fitted.theta, noise, fitted.filtered.trajectory)
+
     def settled(self, model: Model, theta: Vector, process_noise: np.ndarray, trajectory: Trajectory) -> Point:
         """The hypothesis at u, its effects along its own trajectory: it is passed `SETTLING` times from the given."""
         point = self.at(model, theta, process_noise, trajectory)
@@ -195,8 +196,7 @@ class Fitter:
 
     def under(self, fitted: Fitted, process_noise: Float[np.ndarray, " 2"]) -> Fitted:
         """The same hypothesis with the same numbers, in a filter that may invent other forces (N)."""
-        point = self.at(fitted.model, fitted.theta, process_noise, fitted.filtered.trajectory)
-        return self._linearised(fitted.model, point, fitted.steps)
+        return self._linearised(fitted.model, self.again(fitted, process_noise), fitted.steps)
 
     def _linearised(self, model: Model, point: Point, steps: int) -> Fitted:
         step_jacobians, residual = self.slopes(point), self.residuals(point)[0]

@@ -54,7 +54,7 @@ def missing_evidence(fitter: Fitter, fitted: Fitted) -> float:
     allowed = relevant_forces(fitter, fitted)
     least = np.minimum(fitted.process_noise, allowed)
     if fitter.logged.of_snapshots:
-        there = fitter.at(fitted.model, fitted.theta, fitted.process_noise, fitted.filtered.trajectory)
+        there = fitter.again(fitted)
         sudden = np.append(np.geomspace(fitter.least, MOST, UNTOLD), fitted.process_noise[1])
         any_sudden = np.stack([np.full(len(sudden), least[0]), sudden], axis=1)
         least = fitter.with_process(there, fitted.model, any_sudden).process_noise
@@ -76,10 +76,7 @@ def sudden_force_evidence(fitter: Fitter, fitted: Fitted) -> float:
 
 def _evidence_against(fitter: Fitter, fitted: Fitted, *others: Float[np.ndarray, " 2"]) -> float:
     """By how much a fit is likelier with its own process forces (N) than with the likeliest of others."""
-    with_own, *with_others = (
-        fitter.at(fitted.model, fitted.theta, one, fitted.filtered.trajectory).cost
-        for one in (fitted.process_noise, *others)
-    )
+    with_own, *with_others = (fitter.again(fitted, one).cost for one in (fitted.process_noise, *others))
     return min(with_others) - with_own if np.isfinite(with_own) and np.isfinite(min(with_others)) else np.inf
 
 

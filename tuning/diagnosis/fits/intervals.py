@@ -56,7 +56,7 @@ def parameters(fitted: Fitted, member: int) -> dict[str, tuple[Number, Interval]
     """Value and 95 % interval of each parameter of an effect; lists where they differ from log to log."""
     candidate = fitted.model.members[member].candidate
     details = [DETAILS.get(one.candidate.effect, 0.0) for one in fitted.model.members]
-    known, spread = {one.name: one for one in candidate.parameters}, deviations(fitted)
+    known, spread = candidate.by_name, deviations(fitted)
     values_of, intervals = fitted.model.values(fitted.theta)[member], dict[str, Any]()
     for k, (index, name, log) in enumerate(fitted.model.slots, start=len(NAMES)):
         if index != member:

@@ -35,7 +35,7 @@ def share_lost(filtered: EkfResult, counts: Float[np.ndarray, "lanes n"]) -> flo
 
 def lost_share(fitter: Fitter, fitted: Fitted, process_noise: Forces) -> float:
     """At what share of the samples it is lost with these process forces (N)."""
-    filtered = fitter.at(fitted.model, fitted.theta, process_noise, fitted.filtered.trajectory).filtered
+    filtered = fitter.again(fitted, process_noise).filtered
     return share_lost(filtered, np.asarray(fitter.logged.lanes.counts))
 
 

@@ -241,7 +241,7 @@ def force_noise(
 ) -> Float[np.ndarray, "lanes n draws"]:
     """The force (N) that a model without a gap would seem to lack, from the measuring noise."""
     logged = fitter.logged
-    point = fitter.at(fitted.model, fitted.theta, process_noise, fitted.filtered.trajectory)
+    point = fitter.again(fitted, process_noise)
     step_jacobians = fitter.slopes(point)
     noise = float(logged.noise) * np.sqrt(float(fitted.filtered.noise_scale_sq))
     off = noise * np.random.default_rng(0).standard_normal((*logged.lanes.position.shape, NOISES))
@@ -255,7 +255,7 @@ def uncoupled(fitter: Fitter, base: Fitted) -> Fitted:
         return base
     loose = tuple(one for one in base.model.members if not one.candidate.coupled)
     model = dataclasses.replace(base.model, logged=fitter.logged, members=loose)
-    return fitter.fit(model, base.theta, base.process_noise, base.filtered.trajectory, 0)
+    return fitter.refit(base, model, 0)
 
 
 def force_floor(

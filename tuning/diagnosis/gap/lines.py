@@ -109,11 +109,7 @@ def lines_in_position(
         # half the square of the wave's amplitude, for as long as the lane lasts
         energy += there.sum() * 2.0 * transform / max(int(np.count_nonzero(number)), 1) ** 2
     energy /= max(float(np.sum(signal**2 * counts)), 1e-300)
-    found = []
-    for k, p in _stand_out(power):
-        share = min(1.0, energy[k])
-        found.append(Line("position", float(1.0 / waves[k]), float(share), p))
-    return found
+    return [Line("position", float(1.0 / waves[k]), float(min(1.0, energy[k])), p) for k, p in _stand_out(power)]
 
 
 class Standing(NamedTuple):

@@ -54,9 +54,8 @@ def split(fitter: Fitter, best: Fitted) -> Split:
         ):
             says = f"the last {100 * (1 - TRAINED):.0f} % of the motion held out"
             return Split(counts * early, counts * early, counts * ~early, [0], [], says)
-    going = [
-        log for log in range(logged.logs) if moves[owner == log].sum() > SLID * counts[owner == log].sum()
-    ]  # by what rests nothing is judged
+    # by what rests nothing is judged
+    going = [log for log in range(logged.logs) if moves[owner == log].sum() > SLID * counts[owner == log].sum()]
     session = _of_session(best.model)
     for log in reversed(going) if logged.logs > 1 else ():
         mine = (owner == log)[:, None]
@@ -92,7 +91,7 @@ def _travelled(moves: Weights, owner: Int[np.ndarray, " lanes"]) -> Weights:
 
 def _held_out(best: Fitted, train: Weights, there: Weights, moves: Weights, log: int) -> Split:
     """A whole log held out; judged by its second half if the first tells what is of the session, and both its sizes."""
-    session = np.array([False] * len(NAMES) + [one == log for _, _, one in best.model.slots])
+    session = best.model.mask(lambda _member, _name, one: one == log)
     says = f"log {log + 1} held out"
     if not session.any():
         return Split(train, there, there, [log], [log], says)
@@ -111,14 +110,12 @@ def of_session(model: Model) -> Bool[np.ndarray, " k"]:
         for one in member.candidate.parameters
         if one.amplitude
     }
-    return np.array(
-        [False] * len(NAMES) + [log is not None and (index, name) not in sizes for index, name, log in model.slots]
-    )
+    return model.mask(lambda index, name, log: log is not None and (index, name) not in sizes)
 
 
 def _of_session(model: Model) -> Bool[np.ndarray, " k"]:
     """Which numbers are of one log alone."""
-    return np.array([False] * len(NAMES) + [log is not None for _, _, log in model.slots])
+    return model.mask(lambda _member, _name, log: log is not None)
 
 
 def _of_effects(model: Model) -> Bool[np.ndarray, " k"]:

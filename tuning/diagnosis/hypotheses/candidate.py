@@ -21,18 +21,23 @@ class Candidate(NamedTuple):
     effect: type[Effect]
     parameters: tuple[Parameter, ...]
     grid: tuple[dict[str, float], ...] = ({},)
-    coupled: bool = False  # it acts by the table's velocity and friction, and these by it
+    coupled: bool = False  # in a loop with the table's velocity and friction: stepped within the filter
     searched: bool = False  # its cost is steep near the truth and flat elsewhere: no slope leads there
     bounds: tuple[tuple[str, float, float], ...] = ()  # between which an engineer would call it that
     least: float = 0.0  # of a wave's amplitude, for the same
     narrow: str = ""  # of the grid, in which what the log shows is narrower than its steps
     weakens: bool = False  # the larger its first parameter, the less of it there is
-    bare: float | None = None  # of the first parameter, with which it is not what it is called: a loose screw, no play
+    bare: float | None = None  # of the first parameter, at which the effect vanishes: a loose screw without play
 
     @property
     def name(self) -> str:
         """That of the catalogue."""
         return self.effect.name
+
+    @property
+    def by_name(self) -> dict[str, Parameter]:
+        """Its parameters."""
+        return {one.name: one for one in self.parameters}
 
     def excludes(self, other: "Candidate") -> bool:
         """Whether a machine cannot have both: it has one screw."""

@@ -4,7 +4,7 @@ All that is free is one vector u in units of its prior: u = 0 is what was expect
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple, TypeVar, cast
 
@@ -118,13 +118,17 @@ class Model:
     members: tuple[Member, ...] = ()
     prior: Float[np.ndarray, "b b"] = dataclasses.field(default_factory=partial(tolerated, TOLERANCE))
 
+    def on(self, logged: Logged) -> "Model":
+        """The same about other logs."""
+        return dataclasses.replace(self, logged=logged)
+
     def calibration(self, theta: Vector) -> Vector:
         """The b of the recalibrated drive."""
         return self.prior @ theta[: len(NAMES)]
 
     @property
     def slots(self) -> list[tuple[int, str, int | None]]:
-        """What each number of u behind the calibration's is: member, parameter, log (None: all)."""
+        """What each number of theta behind the calibration's is: member, parameter, log (None: all)."""
         found: list[tuple[int, str, int | None]] = []
         for index, member in enumerate(self.members):
             for one in member.candidate.parameters:
@@ -132,9 +136,13 @@ class Model:
                 found += [(index, one.name, log) for log in logs]
         return found
 
+    def mask(self, meant: Callable[[int, str, int | None], bool]) -> Bool[np.ndarray, " k"]:
+        """Which numbers of theta are meant, by member, parameter and log; none of the calibration's."""
+        return np.array([False] * len(NAMES) + [meant(*slot) for slot in self.slots])
+
     def of_member(self, index: int) -> Bool[np.ndarray, " k"]:
-        """Which numbers of u are of one member."""
-        return np.r_[np.zeros(len(NAMES), bool), np.array([one == index for one, _, _ in self.slots], bool)]
+        """Which numbers of theta are of one member."""
+        return self.mask(lambda member, _name, _log: member == index)
 
     @property
     def size(self) -> int:
@@ -142,9 +150,14 @@ class Model:
         return len(NAMES) + len(self.slots)
 
     @property
+    def added_candidates(self) -> list[Candidate]:
+        """The effects with something free; those that the drive file has already come first and have not."""
+        return [member.candidate for member in self.members if member.candidate.parameters]
+
+    @property
     def added(self) -> int:
-        """How many effects have something free; those that the drive file has already come first and have not."""
-        return sum(bool(member.candidate.parameters) for member in self.members)
+        """How many effects have something free."""
+        return len(self.added_candidates)
 
     @property
     def coupled(self) -> bool:
@@ -159,19 +172,17 @@ class Model:
     @property
     def screw_found(self) -> bool:
         """Whether that one is no effect of the drive file's."""
-        added = [member.candidate for member in self.members if member.candidate.parameters]
-        return any(issubclass(one.effect, Transmission) for one in added)
+        return any(issubclass(one.effect, Transmission) for one in self.added_candidates)
 
     @property
     def coarse(self) -> bool:
         """Whether the details of an effect that is looked for differ from machine to machine."""
-        return any(member.candidate.coarse and member.candidate.parameters for member in self.members)
+        return any(one.coarse for one in self.added_candidates)
 
     def values(self, theta: Vector) -> list[dict[str, Vector]]:
         """For each member, its parameters by name: one value for each log."""
-        found = [dict(member.fixed) for member in self.members]
-        table = [{name: np.full(self.logged.logs, value) for name, value in one.items()} for one in found]
-        known = [{p.name: p for p in member.candidate.parameters} for member in self.members]
+        table = [{name: np.full(self.logged.logs, value) for name, value in member.fixed} for member in self.members]
+        known = [member.candidate.by_name for member in self.members]
         for number, (index, name, log) in zip(theta[len(NAMES) :], self.slots, strict=True):
             value = known[index][name].value(float(number))
             row = table[index].setdefault(name, np.zeros(self.logged.logs))
@@ -179,11 +190,11 @@ class Model:
         return table
 
     def effects(self, theta: Vector) -> tuple[Effect, ...]:
-        """The effects at u, each parameter an array over the lanes."""
-        found = []
-        for member, values in zip(self.members, self.values(theta), strict=True):
-            found.append(effect_in_lanes(member.candidate.effect, values, self.logged.owner))
-        return tuple(found)
+        """The effects at theta, each parameter an array over the lanes."""
+        return tuple(
+            effect_in_lanes(member.candidate.effect, values, self.logged.owner)
+            for member, values in zip(self.members, self.values(theta), strict=True)
+        )
 
     def possible(self, theta: Vector) -> bool:
         """Whether a machine can have the effects as they are here; less than no delay corrects the drive file.
@@ -263,15 +274,13 @@ def delay_of(logged: Logged, own: Drive) -> Scalar:
 
 
 def _acts(logged: Logged, own: Drive, effects: tuple[Effect, ...], trajectory: Trajectory) -> EffectSignals:
+    """What the effects do along a trajectory."""
     ahead = 0.5 / logged.loop_samples if logged.loop_samples > 1 else 0.0
     delay = delay_of(logged, own)
     return effect_signals(own, effects, delay, logged.lanes, trajectory, logged.sampling, logged.starts, ahead)
 
 
-@eqx.filter_jit
-def signals_along(logged: Logged, own: Drive, effects: tuple[Effect, ...], trajectory: Trajectory) -> EffectSignals:
-    """What the effects do along a trajectory."""
-    return _acts(logged, own, effects, trajectory)
+signals_along = eqx.filter_jit(_acts)
 
 
 @eqx.filter_jit

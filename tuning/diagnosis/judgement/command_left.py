@@ -33,9 +33,7 @@ from tuning.identification.controller.signals import LOW_PASS
 TAPS = 5  # samples, the first of them one sooner than the delay that was found, if that is one or more
 SHARE = 0.1  # of the command that each sample may add, one standard deviation
 QUICK = 20.0  # scatters of the measurement a sample: a slower table's counts are no noise, and the command follows them
-FOLLOWING = float(
-    chi2.isf(CHANCE, TAPS)
-)  # of -2 log likelihood, that the last commands explain beside what was found, and
+FOLLOWING = float(chi2.isf(CHANCE, TAPS))  # of -2 log likelihood: by chance the last commands explain no more; and
 FOLLOWS = 0.003  # of what was gained, or of what an effect between command and force gained: more is structure
 CLOCKS = 1000.0  # of -2 log likelihood: more than clocks make that are a microsecond apart
 
@@ -70,8 +68,7 @@ def downgraded_by_command(verdict: Verdict, found: Explanation) -> Verdict:
     best = found.best
     if verdict.verdict != "effect" or best.model.coarse or best.model.coupled:
         return verdict
-    rounds = found.rounds[: best.model.added]
-    signals = [one for one in rounds if issubclass(last_candidate(one.fits[0]).effect, ActuatorEffect)]
+    signals = [one for one in found.accepted if issubclass(last_candidate(one.fits[0]).effect, ActuatorEffect)]
     gains = [one.before.cost - one.fits[0].cost for one in signals] or [found.base.cost - best.cost]
     if not follows_command(best) > max(FOLLOWING if signals else CLOCKS, FOLLOWS * min(gains)):
         return verdict

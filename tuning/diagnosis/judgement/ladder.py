@@ -4,7 +4,6 @@ The machine's parameters are fitted on some of the logs and carried over; those 
 registered anew on the others. Which samples those are, `splitting` says.
 """
 
-import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,6 @@ from tuning.diagnosis.fits.reference_noise import Forces, least_following, refer
 from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.gap.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap, uncoupled
 from tuning.diagnosis.gap.splitting import Split, determined, of_session, split
-from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.selection.explanation import Explanation
 
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration
@@ -100,23 +98,21 @@ def compare_models(
     for number in range(found.best.model.added):
         one = found.rounds[number].fits[0]
         chain.append((f"+ {last_candidate(one).name}", one))
-    believed = dataclasses.replace(base.model, logged=test.logged)
+    believed = base.model.on(test.logged)
     still = test.fit(believed, np.zeros(base.model.size), base.process_noise, base.filtered.trajectory, 0)
 
     def judged_by(one: Fitted) -> Fitted:
-        model = dataclasses.replace(one.model, logged=train.logged)
+        model = one.model.on(train.logged)
         # what is of the session that is held out stays, to be registered from there: without data it would drift away
-        away = [log in parts.whole for _, _, log in model.slots]
-        unknown = (
-            np.r_[[False] * len(NAMES), away] if parts.whole else of_session(model) & ~determined(one, parts.train > 0)
-        )
-        trained = train.fit(model, one.theta, one.process_noise, one.filtered.trajectory, CARRY, 1.0 - unknown)
-        session = np.array([0.0] * len(NAMES) + [float(log is not None) for _, _, log in model.slots])
+        away = model.mask(lambda _member, _name, log: log in parts.whole)
+        unknown = away if parts.whole else of_session(model) & ~determined(one, parts.train > 0)
+        trained = train.refit(one, model, CARRY, 1.0 - unknown)
+        session = model.mask(lambda _member, _name, log: log is not None).astype(float)
         theta = trained.theta
         if parts.whole and session.any():
-            model = dataclasses.replace(one.model, logged=there.logged)
+            model = one.model.on(there.logged)
             theta = there.fit(model, theta, one.process_noise, one.filtered.trajectory, REGISTER, session).theta
-        model = dataclasses.replace(one.model, logged=test.logged)
+        model = one.model.on(test.logged)
         return test.fit(model, theta, one.process_noise, one.filtered.trajectory, 0)
 
     carried = in_parallel(judged_by, [one for _, one in chain])
@@ -129,11 +125,13 @@ def compare_models(
     common = np.prod([gap.counts for gap in gaps], axis=0)  # each has its own velocity, and slides where that says so
     gaps = [gap.where(common) for gap in gaps] if common.any() else gaps
     drawn = [gap.drawn(rate) for gap in gaps]
+    closable = [log for log in parts.logs if logs[log].reference is not None]
+    judged, at_control = [logs[log] for log in closable], [_at_control(fitter, parts.test, log) for log in closable]
 
     def comparison(asked: tuple[tuple[str, Fitted], ForceGap, Forces, Float[np.ndarray, " draws"]]) -> ModelComparison:
         (name, one), gap, process_noise, squares = asked
         # how far a model is trusted is chosen anew: one that fitted to the noise may be a little off elsewhere
-        there = test.at(one.model, one.theta, one.process_noise, one.filtered.trajectory)
+        there = test.again(one)
         processes = np.vstack([one.process_noise * NEAR, test.first, test.quiet(one.process_noise)])
         likeliest = test.with_process(there, one.model, processes)
         ratio = 1.0 - squares / drawn[0]
@@ -143,13 +141,9 @@ def compare_models(
         floors = [force_floor(test, each, gap.counts, process_noise) for each in alike]
         floor = min((each for each in floors if np.isfinite(each)), default=np.inf)
         loop = None
-        closable = [log for log in parts.logs if logs[log].reference is not None]
         if controller is not None and closable:
             drives = [drive_of(one, log) for log in closable]
-            noise = float(fitter.logged.noise)
-            judged = [logs[log] for log in closable]
-            counts = [_at_control(fitter, parts.test, log) for log in closable]
-            loop = loop_gap(drives, controller, judged, counts, noise, fitter.logged.control)
+            loop = loop_gap(drives, controller, judged, at_control, float(fitter.logged.noise), fitter.logged.control)
         shrink = (1.0 - (gap.rms / gaps[0].rms) ** 2, low, high)
         return ModelComparison(
             name, one, gap, gap.interval(rate), floor, shrink, loop,

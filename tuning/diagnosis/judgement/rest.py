@@ -3,7 +3,6 @@
 It is told and decides nothing: how much a model may leave in data that it was not fitted to is not known yet.
 """
 
-import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -82,7 +81,7 @@ def _seconds(logs: Sequence[Log]) -> float:
 
 def _followed(fitter: Fitter, fitted: Fitted) -> Fitted:
     """A fit on other stretches of its logs, under the process forces that are likeliest there; nothing is fitted."""
-    model = dataclasses.replace(fitted.model, logged=fitter.logged)
+    model = fitted.model.on(fitter.logged)
     point = fitter.at(model, fitted.theta, fitted.process_noise, initial_trajectory(fitter.logged))
     point = fitter.settled(model, point.theta, point.process_noise, point.next_trajectory)
     point = fitter.with_process(point, model, np.vstack([point.process_noise, fitter.first]))

@@ -86,18 +86,11 @@ def _believed(looked: Round, number: int, left: float, found: bool, certain: flo
     shares = np.r_[_probabilities(gains[: looked.rivals], left), np.zeros(len(gains) - looked.rivals)]
     names = [last_candidate(one).name for one in looked.fits]
     close = [name for name, share in zip(names, shares, strict=True) if share > DECLARED * shares[0]]
-    return [
-        Belief(
-            name,
-            float(certain * share),
-            found and k == 0,
-            number,
-            float(gains[k]),
-            one,
-            [other for other in close if other != name],
-        )
-        for k, (name, share, one) in enumerate(zip(names, shares, looked.fits, strict=True))
-    ]
+    beliefs = []
+    for k, (name, share, one) in enumerate(zip(names, shares, looked.fits, strict=True)):
+        rivals = [other for other in close if other != name]
+        beliefs.append(Belief(name, float(certain * share), found and k == 0, number, float(gains[k]), one, rivals))
+    return beliefs
 
 
 def _shared(
@@ -122,7 +115,7 @@ def _shared(
         for one in beliefs
     ]
     sure = float(certain * shares[1])
-    for number, looked in enumerate(found.other.rounds[: found.other.best.model.added]):
+    for number, looked in enumerate(found.other.accepted):
         fitted = looked.fits[0]
         name = last_candidate(fitted).name
         if name in theirs:

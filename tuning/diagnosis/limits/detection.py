@@ -135,7 +135,7 @@ def _limits_of(
 def _of_amplitudes(fitter: Fitter, fitted: Fitted, amounts: ByAmount, needed: float) -> Iterator[DetectionLimit]:
     """A limit for each amplitude, where the other numbers of the effect make it hardest to see."""
     candidate, curvatures = amounts.candidate, [curvature_of(fitted, one) for one in amounts.answers]
-    known = {one.name: one for one in candidate.parameters}
+    known = candidate.by_name
     for parameter, groups in amplitude_groups(amounts.labels).items():
         sizes = [
             deviations(gain_per_deviation(explained(one, one), groups), needed + volume(one)) for one in curvatures
@@ -291,7 +291,7 @@ def gain_of(fitter: Fitter, fitted: Fitted, candidate: Candidate) -> Callable[[f
         return point, predicted_twist(model.effects(theta), point.filtered)
 
     def without() -> tuple[Point, Float[np.ndarray, "lanes n"]]:
-        there = fitter.at(fitted.model, fitted.theta, fitted.process_noise, fitted.filtered.trajectory)
+        there = fitter.again(fitted)
         return there, predicted_twist(fitted.model.effects(fitted.theta), there.filtered)
 
     before, wound = without() if candidate.bare is None else at(candidate.bare)

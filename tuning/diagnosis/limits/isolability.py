@@ -84,7 +84,7 @@ def _of(
 ) -> Iterator[Rivalry]:
     """Of each amplitude of an effect with its closest rival, where that hides something."""
     candidate = mine.effect.candidate
-    known = {one.name: one for one in candidate.parameters}
+    known = candidate.by_name
     rivals = [one for one in every if one.effect.candidate.name != candidate.name]
     for parameter, groups in amplitude_groups(mine.effect.labels).items():
         spread = known[parameter].spread

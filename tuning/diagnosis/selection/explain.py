@@ -52,7 +52,7 @@ def _refit_without_last(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) 
     there = min((fitter.with_process(one, before.model, processes) for one in begun), key=lambda one: one.cost)
     if before.cost - there.cost < WORTH:
         return None
-    further = fitter.fit(before.model, there.theta, there.process_noise, there.filtered.trajectory)
+    further = fitter.refit(there, before.model)
     return further if further.evidence < before.evidence and further.model.possible(further.theta) else None
 
 
@@ -60,7 +60,7 @@ def _without(before: Fitted, best: Fitted) -> list[Vector]:
     """What `before` has free where a fit with one effect more ended: as it is, and moved to do without the effect."""
     count = before.theta.size
     found, own = best.theta[:count], best.jacobian[:, :count]
-    known = {one.name: one for one in last_candidate(best).parameters}
+    known = last_candidate(best).by_name
     amounts = np.array([known[name].amplitude for _, name, _ in best.model.slots[count - len(NAMES) :]])
     if not amounts.any():
         return [found]
@@ -170,7 +170,7 @@ class _Search:
                 again = again and not self.hides_in_sudden_force(from_there, further)
                 base, best = from_there, further
                 if rounds:
-                    rounds = [*rounds[:-1], rounds[-1]._replace(fits=[best, *rounds[-1].fits[1:]])]
+                    rounds = [*rounds[:-1], rounds[-1].with_first(best)]
                     if self.needs_no_other(base, best):
                         break
                 found = self.next_round(base, best, catalogue, rounds) if again else found._replace(before=best)
@@ -222,10 +222,10 @@ class _Search:
         """The last effect held against what the others explain without it, or dropped where it is not worth it then;
         the same object where they explain no more without it than they were known to.
         """
-        *before, last = found.rounds[: found.best.model.added]
+        *before, last = found.accepted
         if fewer.evidence >= last.before.evidence:
             return found
-        before[-1] = before[-1]._replace(fits=[fewer, *before[-1].fits[1:]])
+        before[-1] = before[-1].with_first(fewer)
         last = self.with_evidence_needed(found.base, last._replace(before=fewer))
         if is_implausible(fewer, found.best):
             last = last._replace(enough=WORTH)
@@ -324,7 +324,7 @@ def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
     before = _refit_without_last(fitter, one.before, [best]) or one.before
     rounds = found.rounds[: last + 1]
     rounds[last] = one._replace(before=before, fits=[best, *one.fits[1:]])
-    rounds[last - 1] = rounds[last - 1]._replace(fits=[before, *rounds[last - 1].fits[1:]])
+    rounds[last - 1] = rounds[last - 1].with_first(before)
     return found._replace(rounds=rounds, best=best)
 
 

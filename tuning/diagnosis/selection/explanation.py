@@ -24,8 +24,12 @@ class Explanation(NamedTuple):
     @property
     def named(self) -> set[str]:
         """The effects that were added."""
-        members = self.best.model.members
-        return {member.candidate.name for member in members[len(members) - self.best.model.added :]}
+        return {one.name for one in self.best.model.added_candidates}
+
+    @property
+    def accepted(self) -> list[Round]:
+        """The rounds whose effects were added."""
+        return self.rounds[: self.best.model.added]
 
 
 def last_outweighs_the_rest(found: Explanation) -> bool:

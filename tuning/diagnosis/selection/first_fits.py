@@ -38,7 +38,7 @@ def fit_from(
         found_alone = found._replace(values=values, processes=np.vstack([found.processes, alone.process_noise]))
         begun += [_begun(fitter, before, found_alone, rest) for rest in _different(rest, before.theta)]
     model, there = min(begun, key=lambda one: one[1].cost)
-    ended = fitter.fit(model, there.theta, there.process_noise, there.filtered.trajectory, most)
+    ended = fitter.refit(there, model, most)
     amplitudes = {one.name for one in found.candidate.parameters if one.amplitude}
     if there.cost <= before.cost or not amplitudes:
         return ended
@@ -48,9 +48,7 @@ def fit_from(
     other = fitter.fit(model, theta, before.process_noise, before.filtered.trajectory, most)
     lost = min(ended.evidence, other.evidence) > before.evidence - PROMISING  # neither way has led anywhere yet
     if lost and ended.steps == most and not found.candidate.coupled:
-        ended = fitter.fit(
-            ended.model, ended.theta, ended.process_noise, ended.filtered.trajectory, 2 * most
-        )  # it came from far
+        ended = fitter.refit(ended, ended.model, 2 * most)  # it came from far
     return min(possible([ended, other]) or [ended, other], key=lambda one: one.evidence)
 
 
@@ -93,4 +91,4 @@ def _to_nominal_first(fitter: Fitter, before: Fitted, model: Model, own: Vector)
     theta = np.r_[np.zeros(len(NAMES)), before.theta[len(NAMES) :], own]
     alone = np.r_[np.zeros(before.theta.size), np.ones(own.size)]
     first = fitter.minimise(model, theta, None, before.filtered.trajectory, 2 * ALONE, alone)[0]
-    return fitter.fit(model, first.theta, first.process_noise, first.filtered.trajectory, RACE)
+    return fitter.refit(first, model, RACE)

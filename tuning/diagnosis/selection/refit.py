@@ -30,7 +30,7 @@ def possible(fits: Iterable[Fitted]) -> list[Fitted]:
 
 def continued(fitter: Fitter, one: Fitted) -> Fitted:
     """The fit gone on with, from where it ended; itself where that leads to no machine that can be."""
-    further = fitter.fit(one.model, one.theta, one.process_noise, one.filtered.trajectory)
+    further = fitter.refit(one, one.model)
     return next(iter(possible([further])), one)
 
 
@@ -114,9 +114,7 @@ def refit_from_nominal(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
     most = one.evidence + allowance(one, with_nominal)
     last = np.inf
     for _ in range(RETURNS):
-        ended = to_its_end(
-            fitter, fitter.fit(one.model, nominal.theta, nominal.process_noise, nominal.filtered.trajectory)
-        )
+        ended = to_its_end(fitter, fitter.refit(nominal, one.model))
         ends = possible([ended, searched_again(fitter, base, ended)])  # the other may lead off once more
         taken = next((end for end in ends if end.evidence <= most and is_implausible(one, end)), None)
         if taken is not None:
@@ -166,7 +164,7 @@ def searched_again(fitter: Fitter, before: Fitted, one: Fitted) -> Fitted:
             one.model,
             np.vstack([one.process_noise * NEAR, found.processes * NEAR]),
         )
-        other = likelier(one, fitter.fit(one.model, there.theta, there.process_noise, there.filtered.trajectory))
+        other = likelier(one, fitter.refit(there, one.model))
         if one.evidence - other.evidence < WORTH:
             return other
         one = other
@@ -175,7 +173,7 @@ def searched_again(fitter: Fitter, before: Fitted, one: Fitted) -> Fitted:
 
 def likelier(one: Fitted, other: Fitted) -> Fitted:
     """The other where it is a machine that can be, and the likelier one."""
-    return min(possible([one, other]), key=lambda fit: fit.evidence, default=one)
+    return next(iter(possible([one, other])), one)
 
 
 def refit_rivals(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
@@ -205,4 +203,4 @@ def refit_without_process_force(fitter: Fitter, one: Fitted) -> Fitted:
     there = fitter.with_process(
         fitter.at(one.model, one.theta, fitter.floor, trajectory), one.model, fitter.quiet(fitter.floor)
     )
-    return fitter.fit(one.model, there.theta, there.process_noise, there.filtered.trajectory)
+    return fitter.refit(there, one.model)

@@ -56,6 +56,10 @@ class Round(NamedTuple):
     allowance: float  # in evidence, that the first may lack since it resolves an impossibility
     enough: float = WORTH  # in evidence, that the first had to bring
 
+    def with_first(self, fit: Fitted) -> "Round":
+        """The same with this fit in the place of the first."""
+        return self._replace(fits=[fit, *self.fits[1:]])
+
     @property
     def gain(self) -> float:
         """Evidence that the first brought, and what it may lack."""

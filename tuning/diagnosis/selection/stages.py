@@ -45,8 +45,7 @@ def of_round(looked: Round) -> Stage:
     """The effects that explain most beside what was found before: in -2 log likelihood, less their price; first the one
     that the search goes on with.
     """
-    there = looked.before.model
-    found = [one.candidate.name for one in there.members[len(there.members) - there.added :]]
+    found = [one.name for one in looked.before.model.added_candidates]
     name = f"search beside {' and '.join(found)}" if found else "search"
     gains = [(last_candidate(one).name, looked.before.evidence - one.evidence) for one in looked.fits]
     if not looked.worth_it:

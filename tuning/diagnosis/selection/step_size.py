@@ -23,12 +23,12 @@ def with_step_short_enough(fitter: Fitter, base: Fitted) -> tuple[Fitter, Fitted
     """
     while fitter.logged.sampling.period / fitter.logged.sampling.plant_steps > LONGEST_SUBSTEP:
         finer = _with_half_the_step(fitter)
-        model = dataclasses.replace(base.model, logged=finer.logged)
+        model = base.model.on(finer.logged)
         there = finer.settled(model, base.theta, base.process_noise, base.filtered.trajectory)
         lacking = missing(fitter, base)
         if not np.isfinite(lacking) or abs(there.cost - base.cost) < max(WORTH, DETAILS * lacking):
             break
-        fitter, base = finer, finer.fit(model, base.theta, base.process_noise, base.filtered.trajectory)
+        fitter, base = finer, finer.refit(base, model)
     return fitter, base
 
 

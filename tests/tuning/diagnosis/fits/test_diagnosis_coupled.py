@@ -1,13 +1,12 @@
 """Diagnosis: effects that are stepped within the filter."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from diffdrive.effects.forces import Cogging, ConstantForce, FrameVibration
 from diffdrive.effects.friction import PreslidingHysteresis
 from diffdrive.effects.transmission import Backlash, Compliance
+from tests.support.fake_fits import FakeFitter
 from tests.support.perturbed_machine import DEVIATIONS, catalogue, fitter_of, recalibrated_of
 from tests.support.sound_log import DRIVE, RATE
 from tuning.diagnosis.fits.goodness_of_fit import is_complete, max_prior_deviation, power_left
@@ -222,7 +221,7 @@ def test_a_fit_without_one_of_its_effects_begins_where_it_ended(sound, monkeypat
         return one._replace(model=model, theta=theta)
 
     monkeypatch.setattr(refit, "to_its_end", lambda fitter, fitted: fitted)
-    found = refit.drop_effect(SimpleNamespace(fit=fit), one, without)
+    found = refit.drop_effect(FakeFitter(fit=fit), one, without)
     (member,) = found.model.members
     assert member.candidate.name == stays
     assert found.theta.size == found.model.size

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.support.fake_fits import FakeFitter
 from tuning.diagnosis.fits import reference_noise
 from tuning.diagnosis.fits.fitting import LEAST
 from tuning.diagnosis.judgement import ladder
@@ -24,7 +25,7 @@ def lost_with(share, screw=False):
 
     base = SimpleNamespace(model=model, theta=None, filtered=SimpleNamespace(trajectory=None))
     base._replace = lambda filtered: SimpleNamespace(model=model, filtered=filtered)
-    return SimpleNamespace(at=at, logged=model.logged), base
+    return FakeFitter(at=at, logged=model.logged), base
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """What a ladder fits to and what it is judged by: motion on both sides, and every number told by what is fitted."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from tuning.diagnosis.gap.splitting import split
 from tuning.diagnosis.hypotheses.calibration import NAMES
+from tuning.diagnosis.hypotheses.model import Model
 
 RATE = 1_000.0
 WAVE = SimpleNamespace(candidate=SimpleNamespace(parameters=(SimpleNamespace(name="cosine", amplitude=True),)))
@@ -27,6 +29,7 @@ def of(velocity, tells, slots, nominal=1.0, members=()):
         sampling=SimpleNamespace(rate=RATE),
     )
     model = SimpleNamespace(slots=slots, members=members, size=len(NAMES) + len(slots))
+    model.mask = partial(Model.mask, model)
     filtered = SimpleNamespace(trajectory=SimpleNamespace(velocity=velocity))
     return SimpleNamespace(logged=logged), SimpleNamespace(
         filtered=filtered, model=model, jacobian=jacobian.reshape(lanes * samples, -1)

@@ -90,7 +90,7 @@ def test_two_that_do_the_same_are_never_told_apart(monkeypatch):
     parameter = SimpleNamespace(name="force", spread=2.0)
     amounts = [
         ByAmount(
-            SimpleNamespace(name=name, least=0.0, parameters=(parameter,)), {},
+            SimpleNamespace(name=name, least=0.0, parameters=(parameter,), by_name={"force": parameter}), {},
             [Answers([(parameter, None)], scale * column, np.zeros((0, 1)))],
         )
         for name, scale in (("tilt", 10.0), ("counterbalance", 10.0), ("unseen", 1e-3))

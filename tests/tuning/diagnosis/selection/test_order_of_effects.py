@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diffdrive.model.parameters import Sampling
-from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F401
+from tests.support.fake_fits import FakeFitter, fake_fit, names, no_filter_lost  # noqa: F401
 from tests.support.sound_log import DRIVE
 from tuning.diagnosis.fits import goodness_of_fit
 from tuning.diagnosis.fits.fitting import MOST_STEPS
@@ -188,7 +188,7 @@ def test_what_a_fit_lacks_does_not_depend_on_where_its_effects_were_stepped():
         filtered=SimpleNamespace(trajectory=5.0),
     )
     logged = SimpleNamespace(sampling=Sampling(1e3, 10), of_snapshots=False, command_std=0.0)
-    assert missing_evidence(SimpleNamespace(at=at, logged=logged), fitted) == 7.0
+    assert missing_evidence(FakeFitter(at=at, logged=logged), fitted) == 7.0
 
 
 def test_between_snapshots_a_sudden_force_is_none_that_a_model_lacks():
@@ -214,7 +214,7 @@ def test_between_snapshots_a_sudden_force_is_none_that_a_model_lacks():
     )
     for samples, lacks in ((1, 50.0), (4, 3.0)):
         logged = SimpleNamespace(sampling=Sampling(1e3, 10), of_snapshots=samples > 1, command_std=0.0)
-        fitter = SimpleNamespace(at=at, with_process=with_process, logged=logged, least=1e-3)
+        fitter = FakeFitter(at=at, with_process=with_process, logged=logged, least=1e-3)
         assert missing_evidence(fitter, fitted) == lacks
 
 
@@ -238,7 +238,7 @@ def test_a_fit_that_leads_to_no_machine_that_can_be_is_not_gone_on_with(monkeypa
     monkeypatch.setattr(refit, "is_complete", lambda *_: True)  # else it is begun again without process force
 
     def fitter(further):
-        return SimpleNamespace(fit=lambda *_: further)
+        return FakeFitter(fit=lambda *_: further)
 
     one = fake_fit("frame_vibration", evidence=-100.0)
     one.steps, one.process_noise, one.filtered = MOST_STEPS, None, SimpleNamespace(trajectory=None)
@@ -344,7 +344,7 @@ def test_a_filter_that_runs_away_explains_nothing(monkeypatch, base, after):
 def test_of_the_forces_that_are_allowed_the_likeliest_counts(monkeypatch):
     """A log of a small force that lasts, which the fit told by a larger sudden one."""
     costs = {(0.0, 2.0): 0.0, (0.0, 1.0): 100.0, (1.0, 1.0): 10.0}
-    fitter = SimpleNamespace(
+    fitter = FakeFitter(
         logged=SimpleNamespace(of_snapshots=False),
         at=lambda model, theta, forces, along: SimpleNamespace(cost=costs[tuple(forces)]),
     )
@@ -385,7 +385,7 @@ def test_a_filter_that_was_trusted_too_little_is_no_evidence_for_an_effect(monke
         cost = here if theta is before.theta else 9000.0
         return SimpleNamespace(theta=theta, process_noise=process_noise, cost=cost, filtered=before.filtered)
 
-    fitter = SimpleNamespace(
+    fitter = FakeFitter(
         at=at,
         with_process=lambda one, *_: one,
         fit=lambda model, theta, *_: fake_fit(evidence=at(model, theta, None, 0).cost),

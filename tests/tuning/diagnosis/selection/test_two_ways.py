@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.support.fake_fits import fake_fit, names, no_filter_lost  # noqa: F401
+from tests.support.fake_fits import FakeFitter, fake_fit, names, no_filter_lost  # noqa: F401
 from tuning.diagnosis.hypotheses.calibration import NAMES
 from tuning.diagnosis.judgement import verdict
 from tuning.diagnosis.levels import DETAILS, IMPOSSIBLE, WORTH
@@ -115,7 +115,7 @@ def test_a_second_effect_that_is_worth_nothing_beside_the_first_searched_again_i
     assert (gain >= refused.enough) == (len(found) == 2)
 
 
-class Nearby:
+class Nearby(FakeFitter):
     """A fitter to which the drive file's own numbers are worth -4000, and what is fitted from there ends `near`, or
     where `later` says in turn.
     """
@@ -129,7 +129,7 @@ class Nearby:
         there.theta, there.process_noise, there.filtered = theta, "begun", SimpleNamespace(trajectory=None)
         return there, 0
 
-    def fit(self, model, theta, process_noise, trajectory):
+    def fit(self, model, theta, process_noise, trajectory, *_):
         assert process_noise == "begun"
         self.begun.append((theta, None, None))
         return self.later.pop(0) if self.later else self.near
