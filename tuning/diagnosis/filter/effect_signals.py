@@ -1,8 +1,8 @@
 """What acts on the table along a trajectory: most effects, and the command that they make of another force.
 
 Stepped along where the table went in the last pass, what an effect does is a signal like any other, whatever it is: one
-compiled filter (`ekf`) serves them all. Those that act by the table's own velocity and friction, and these by
-them, are stepped within it.
+compiled filter (`ekf`) serves them all. Those in a loop with the table's velocity and friction are
+stepped within it.
 """
 
 from typing import NamedTuple, cast

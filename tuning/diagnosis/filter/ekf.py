@@ -1,7 +1,7 @@
 """A drive with effects follows its logs: an extended Kalman filter.
 
-Most effects are a signal like any other (`effect_signals`). Those that act by the table's velocity and friction, and
-these by them, are stepped within the filter (`coupled`). How the innovations answer small changes: `derivatives`.
+Most effects are a signal like any other (`effect_signals`). Those in a loop with the table's velocity and friction are
+stepped within the filter (`coupled`). How the innovations answer small changes: `derivatives`.
 """
 
 from collections.abc import Sequence

@@ -129,10 +129,10 @@ def by_numbers(
     wanted: Ways,
     near: Columns | None = None,
 ) -> Float[np.ndarray, "m k"]:
-    """Of the innovations of a hypothesis at `theta`, over their scatter, to each number of u that is wanted.
+    """Derivatives of the innovations of a hypothesis at `theta`, over their scatter, by the `wanted` numbers of theta.
 
-    Each to the side away from the prior's edge; `trajectory` is the one that led to what was filtered. `near` are the
-    same of a point nearby, if known.
+    Each to the side away from the prior's edge; `trajectory` is the one along which `filtered` was computed. `near` are
+    those of a point nearby, if known.
     """
     logged, forces = model.logged, ProcessNoise(*jnp.asarray(process_noise))
     counts = np.asarray(logged.lanes.counts)

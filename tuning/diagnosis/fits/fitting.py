@@ -72,7 +72,7 @@ class Fitter:
         return np.stack([np.full(SIZES, process_noise[0]), sudden], axis=1)
 
     def at(self, model: Model, theta: Vector, process_noise: np.ndarray, trajectory: Trajectory) -> Point:
-        """The hypothesis at u."""
+        """The hypothesis at theta."""
         effects = model.effects(theta)
         loose, coupled = model.apart(effects)
         recalibrated_drive, drive = machine(self.logged, jnp.asarray(model.calibration(theta)), effects)
@@ -188,7 +188,7 @@ class Fitter:
         return self.at(fitted.model, fitted.theta, noise, fitted.filtered.trajectory)
 
     def settled(self, model: Model, theta: Vector, process_noise: np.ndarray, trajectory: Trajectory) -> Point:
-        """The hypothesis at u, its effects along its own trajectory: it is passed `SETTLING` times from the given."""
+        """The hypothesis at theta, its effects along its own trajectory, after `SETTLING` passes from the given."""
         point = self.at(model, theta, process_noise, trajectory)
         for _ in range(SETTLING - 1):
             point = self.at(model, theta, process_noise, point.next_trajectory)
@@ -265,7 +265,7 @@ class Fitter:
         As long as there is much to gain the filter's process force is taken as so many times smaller.
         """
         damping, idle = DAMPING, 0
-        carried = jacobian = None  # the first where a new one would be dear
+        carried = jacobian = None  # carried: updated by a secant, where a new one would be dear
         settled = False  # the process force, as far as the last step could tell
         for steps in range(most):
             if idle == 2:

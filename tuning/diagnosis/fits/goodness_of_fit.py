@@ -25,16 +25,15 @@ SLIDING = tuple(name for name in NAMES if name.split(".")[0] in _SLIDING)
 
 
 def relevant_forces(fitter: Fitter, fitted: Fitted) -> Float[np.ndarray, " 2"]:
-    """Process forces (N) that are allowed to any model: lasting, and sudden ones that come to as much over as long.
-
-    To a lasting one comes what is not known of the command.
+    """Process noise (N) with which nothing counts as missing: a lasting force, with what is unknown of the command, and
+    a sudden one of equal effect over its time.
     """
     lasting = float(np.hypot(_relevant(fitted), float(fitter.logged.command_std)))
     return np.array([lasting, _sudden(fitter, lasting)])
 
 
 def _relevant(fitted: Fitted) -> float:
-    """The lasting force (N) that no model is right to."""
+    """The lasting force (N) below any model's accuracy."""
     return RELEVANT * float(coulomb(fitted.recalibrated_drive.friction, 1.0, 0.0))
 
 

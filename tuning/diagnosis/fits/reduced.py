@@ -1,9 +1,9 @@
 """The normal equations of what is added to a fit, when what is free already has made way for it.
 
-With residuals r, their Jacobian J by what is free, its curvature H = J'J + 1 and place u (in units of its prior),
+With residuals r, their Jacobian J by what is free, its curvature H = J'J + 1 and values theta (in units of the prior),
 columns D that are added by amounts a change the cost by a'S a + 2 g'a, where
 
-    S = D'D - D'J H^-1 J'D ,   g = D'r - D'J H^-1 (J'r + u) .
+    S = D'D - D'J H^-1 J'D ,   g = D'r - D'J H^-1 (J'r + theta) .
 """
 
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from tuning.diagnosis.fits.fitted import Fitted
 
 
 class Reduced(NamedTuple):
-    """Curvature S and slope g, and how what is free moves: by `wanted` alone, and by `way` for each column."""
+    """Curvature S and slope g, and how what is free moves: by minus `wanted` alone, by minus `way` for each column."""
 
     curvature: Float[np.ndarray, "m m"]
     slope: Float[np.ndarray, " m"]

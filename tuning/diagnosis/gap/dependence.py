@@ -38,7 +38,7 @@ class Family(NamedTuple):
     """Functions of one kind: of what, what they are, and what each corner adds."""
 
     of: str  # "position", "speed", "time", "command" or "past commands"
-    kind: str  # "force", "friction" or "scale": the field of an exposure that it adds to
+    kind: str  # "force", "friction" or "scale": what it adds to, by `FIELDS`
     unit: float  # N or m
     basis: Basis  # the corners' hats
 

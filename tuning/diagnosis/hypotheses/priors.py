@@ -44,5 +44,5 @@ class Parameter(NamedTuple):
         return float((self.scale.of(value) - self.scale.of(self.middle)) / self.spread)
 
     def slope(self, theta: float) -> float:
-        """Of the value, by u."""
+        """Of the value, by theta."""
         return self.spread * self.scale.slope(self.value(theta))

@@ -32,10 +32,9 @@ class Event(NamedTuple):
 def least_foreseen(fitted: Fitted) -> Event:
     """That moment of the logs.
 
-    Where the filter is lost it begins again: one count that went astray is no event, nor what follows of it. A table
-    that rests shows no noise: that makes what moves no less noisy than was expected. While the scale shows one count or
-    two neighbours, the error of its counts is no noise from sample to sample but one and the same: there a position
-    that lies within half a count of the foreseen is as foreseen, and of others the rest counts.
+    Samples at and after a loss of the filter do not count. A table at rest does not lower the noise that is expected.
+    Within two neighbouring counts the error of a count is the same from sample to sample: only what exceeds half a
+    count is summed.
     """
     logged, filtered = fitted.model.logged, fitted.filtered
     unit = np.asarray(filtered.innovation_std) * np.sqrt(max(float(filtered.noise_scale_sq), 1.0))

@@ -16,7 +16,7 @@ HIDDEN = 1.0 + DETAILS  # times the floor: a gap below is none, and no share of 
 PLAIN = 2.0  # times the floor's mean square: a gap, be it in a single place, which draws of pieces may miss
 PROVED = 0.5  # of the gap beyond the floor, that must be gone
 ENLARGED = 2.5  # times its floor: more than what the details of a coarse effect leave
-SEEN = 2.0  # times its floor: the gap in closed loop that tells something, and a floor that tells nothing
+SEEN = 2.0  # times the first model's floor: a larger gap in closed loop counts, and a larger floor makes it void
 
 
 class GapReduction(NamedTuple):
@@ -28,11 +28,10 @@ class GapReduction(NamedTuple):
 
 
 def gap_reduction(before: ModelComparison, after: ModelComparison, rate: float) -> GapReduction | None:
-    """From one model to another, in mean squares; None where the first leaves nothing beyond the floor to be closed, or
-    as well may leave nothing, and the interval excludes nothing.
+    """From one model to another, in mean squares beyond the floor; None where only the first filter is lost, and where
+    the first gap is at its floor, or may be and the interval excludes nothing, unless the second model opens one.
 
-    Unless the other opens a gap there. A filter that ran away closes nothing, nor does one that is lost; where only the
-    first is, it cannot be told how much there was to close.
+    A second filter that is lost or ran away closes nothing.
     """
     alike = np.array_equal(before.trusting, after.trusting)  # else each has the floor of its own filter
     floors = np.array([after.floor if alike else before.floor, after.floor])

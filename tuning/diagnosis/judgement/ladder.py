@@ -72,11 +72,8 @@ def _unlikely(filtered: EkfResult, counts: Float[np.ndarray, "lanes n"], rate: f
 
 
 def _told_by(fitter: Fitter, one: Fitted, process_noise: Forces) -> tuple[ForceGap, Forces]:
-    """The force that a model lacks, and the filter that tells it: the one that follows the recalibrated drive, or where
-    it is lost with this model or has to follow a screw that was found, one of its own that may invent less that lasts.
-
-    A worn screw needs a force of hundreds of newtons invented where no gap is known; in a filter that may invent so
-    much, nothing keeps the motor in its gap, and what the screw explains drowns in the noise.
+    """The missing force of a model and the process noise of its filter: the common one, or one of its own where that
+    filter is lost, or where a transmission was found and needs less that lasts.
     """
     gap = force_gap(fitter, one, process_noise)
     own = least_following(fitter, one) if one.model.screw_found or not gap.is_known else None

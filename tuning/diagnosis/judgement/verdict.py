@@ -26,7 +26,7 @@ from tuning.diagnosis.levels import COARSE, COLDEST, DECLARED, DETAILS, IMPOSSIB
 from tuning.diagnosis.selection.explanation import Explanation
 from tuning.diagnosis.selection.search import Round
 
-ROUGH = 0.08  # more of it, in proportion to what is left unexplained
+ROUGH = 0.08  # of the evidence, times the share left: what the temperature has beside `LEFT`
 TOLD = 0.005  # unexplained, from which on it is said
 SHARPNESS = 3.0  # by which factor more or less makes it sure
 UNSURE = 0.5  # the most that a cause is believed where the logs cannot tell it; where much is left, how sure one is
@@ -136,7 +136,7 @@ def _one_of_each(beliefs: list[Belief]) -> list[Belief]:
 def _may_leave(best: Fitted) -> float:
     """The share of what was missing that an explanation may leave.
 
-    An effect alone whose details differ leaves what is its own; beside it, another would be believed for filling that.
+    A coarse effect alone may leave its own details; a second effect would be believed for fitting those.
     """
     if not best.model.coarse:
         return LEFT
@@ -157,16 +157,16 @@ def _worth(gain: float, enough: float) -> float:
 def judge(
     fitter: Fitter, found: Explanation, in_loop: float | None = None, closes: Sequence[float | None] = ()
 ) -> Verdict:
-    """The verdict on an explanation that leaves the share `in_loop` of the gap in closed loop, if known, and of whose
-    effects each surely takes away the share `closes` of the force that is missing in what is held out before it (of its
-    mean square beyond the floor).
+    """The verdict on an explanation. `in_loop` is the share of the gap in closed loop that is left, if known; `closes`,
+    of each effect, the share of the missing force in what is held out (its mean square beyond the floor) that it surely
+    takes away.
 
-    A likelihood counts what is small and goes on for long: a model that is a little wrong all along leaves most of it
-    beside an effect that is there, and of the force next to nothing. Half of the effects that do so act.
+    Small errors that last cost much likelihood and little force. So an effect that takes away most of the force is
+    believed to `UNSURE` at least.
 
     Of an effect whose details differ from machine to machine, a filter tells too little and too much: by such details
-    it is off also with the right effect, and it may follow with a wrong one whose simulation goes astray. Beside one,
-    and only there, the simulation of what was held out says how much is explained.
+    it is off also with the right effect, and it may follow with a wrong one whose simulation runs away. Beside one, and
+    only there, the simulation of what was held out says how much is explained.
     """
     base, best = found.base, found.best
     effects = best.model.added

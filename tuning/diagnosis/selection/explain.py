@@ -38,9 +38,9 @@ MOST_EFFECTS = 2
 
 
 def _refit_without_last(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) -> Fitted | None:
-    """`before` from where the best fit with one effect more ended, if that effect was not what made it better.
+    """`before` fitted again from the best fit with one effect more, where it improves without that effect.
 
-    A fit that stopped on its way leaves something to explain to any effect that sets it going again.
+    A fit that stopped on its way leaves its gain to any effect that sets it going again.
     """
     if not fits:
         return None
@@ -57,7 +57,9 @@ def _refit_without_last(fitter: Fitter, before: Fitted, fits: Sequence[Fitted]) 
 
 
 def _without(before: Fitted, best: Fitted) -> list[Vector]:
-    """What `before` has free where a fit with one effect more ended: as it is, and moved to do without the effect."""
+    """Where `before` may begin: its parameters in the fit with one effect more, as they are and corrected for its
+    removal.
+    """
     count = before.theta.size
     found, own = best.theta[:count], best.jacobian[:, :count]
     known = last_candidate(best).by_name
@@ -89,11 +91,10 @@ def evidence_needed(fitter: Fitter, base: Fitted, best: Fitted, ended: bool, fit
 
 
 def is_looked_for(one: Candidate, logged: Logged, by_second_encoder: bool, moved: bool) -> bool:
-    """Whether an effect is looked for where no force is missing; `moved` is whether a number was moved far.
+    """Whether an effect is looked for where no force is missing; `moved` is whether a nominal parameter was moved far.
 
-    Only what hides then: any other would show as a missing force. Where the commands between snapshots are told by the
-    law of the loop, nothing is that does what a moved number does, before one is moved: an error of that law does as
-    much, and lasts all along the log.
+    Only what leaves no missing force. Where the commands between snapshots come from the law of the loop, effects like
+    a moved parameter are looked for only once one has moved: an error of that law looks the same.
     """
     if one.twists and by_second_encoder:
         return True
@@ -124,8 +125,8 @@ class _Search:
         return self.is_explained(base, one) and max_prior_deviation(one) < STRAINED
 
     def hides_in_sudden_force(self, base: Fitted, one: Fitted) -> bool:
-        """Whether nothing is missing, but between snapshots, where a sudden force may stand for the effects that were
-        fitted: they are held against it as they are, since nothing would be looked for beside it.
+        """Whether nothing is missing between snapshots, where the sudden force may stand for the effects that were
+        fitted: they are compared with it as they are, since no search would follow.
         """
         return one.model.logged.of_snapshots and self.is_explained(base, one)
 
@@ -187,8 +188,8 @@ class _Search:
         return looked._replace(enough=evidence_needed(self.fitter, base, looked.before, ended, looked.fits))
 
     def refined(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
-        """The end of a search with what was searched for early searched for again, with numbers that can be, and
-        without what the others can do without, from where the search goes on. Once: not again for what is found then.
+        """The end of a search after its early global searches were repeated, impossible parameters replaced and
+        needless effects dropped, from where the search goes on; once, not again for what is found then.
         """
         if not is_complete(self.fitter, found.best):
             found = self.searched_again_beside_last(found, catalogue)
@@ -200,8 +201,8 @@ class _Search:
     def backward_elimination(self, found: Explanation) -> Explanation:
         """Without an effect that the others can do without; the same object where there is none.
 
-        One that is like the right one, or what had set a fit going that was stuck without it, may be found first. One
-        that sets the fit before it going is found last, and seems to bring more than all that was found before.
+        An early effect may only resemble the right one, or have freed a fit that was stuck. A last effect may have
+        freed the fit before it, and then seems to explain more than all others.
         """
         count = found.best.model.added
         several = range(count if last_outweighs_the_rest(found) else count - 1) if count > 1 else ()
@@ -219,8 +220,8 @@ class _Search:
         return found
 
     def against_the_rest(self, found: Explanation, fewer: Fitted) -> Explanation:
-        """The last effect held against what the others explain without it, or dropped where it is not worth it then;
-        the same object where they explain no more without it than they were known to.
+        """The last effect judged against the others fitted again without it (`fewer`), and dropped where it brings too
+        little then; the same object where that fit gains nothing.
         """
         *before, last = found.accepted
         if fewer.evidence >= last.before.evidence:
@@ -234,8 +235,8 @@ class _Search:
         return found._replace(rounds=before, best=fewer)
 
     def rounds_without(self, found: Explanation, index: int, fewer: Fitted) -> list[Round] | None:
-        """The rounds without the one of that number, `fewer` being what is found without it in the end; None where what
-        came after it is no machine alone. The rivals are those of both rounds that become one.
+        """The rounds without round `index`, `fewer` being the final fit; None where a later effect alone is no machine
+        that can be. Rivals of the dropped round join the next.
         """
         count, rounds, dropped = found.best.model.added, found.rounds[:index], found.rounds[index]
         before, aside, beside = dropped.before, dropped.fits, dropped.fits[: dropped.rivals]
@@ -264,8 +265,8 @@ class _Search:
         return max(enough, COARSE * sudden_force_evidence(self.fitter, fewer))
 
     def searched_again_beside_last(self, found: Explanation, catalogue: Sequence[Candidate]) -> Explanation:
-        """What was searched for before the last effect was known searched for again beside it; without that one, and
-        with what is found in its place, where the others explain as much by then.
+        """The global search for earlier effects repeated beside the last one. Where they explain as much alone by then,
+        that one is dropped and the search goes on.
         """
         again = _searched_beside(self.fitter, found)
         if again is found:
@@ -311,8 +312,8 @@ def explain(
 
 
 def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
-    """With what was searched for before another effect was known searched for again beside it, and what there was
-    before that other one fitted from there: else that would have the credit. The same object where that leads nowhere.
+    """The global search for earlier effects repeated beside the last one, and the fit before that one begun from there:
+    else the last effect would have the credit. The same object where that leads nowhere.
     """
     best, last = found.best, found.best.model.added - 1
     if last < 1 or last_candidate(best).searched:
@@ -329,11 +330,10 @@ def _searched_beside(fitter: Fitter, found: Explanation) -> Explanation:
 
 
 def _credibly(fitter: Fitter, found: Explanation) -> Explanation:
-    """What was found with numbers that can be, where its fit left some that cannot and need not have. The same object
-    where it does not.
+    """What was found, fitted again without impossible nominal parameters; the same object where that does not succeed.
 
-    The first of its round is then what explains most with such numbers, and what needs others is no rival of it. What
-    those told beyond it is no less of a merit of the effect's than it was.
+    Its round is ranked anew: rivals that need such parameters are no rivals, and the evidence that these had added is
+    an allowance.
     """
     if not found.best.model.added or max_prior_deviation(found.best) <= IMPOSSIBLE:
         return found

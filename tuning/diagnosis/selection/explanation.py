@@ -39,8 +39,8 @@ def last_outweighs_the_rest(found: Explanation) -> bool:
 
 
 def is_better(base: Fitted, one: Fitted, other: Fitted) -> bool:
-    """Whether one end is likelier than another. Never by numbers that cannot be where the other's can, and where only
-    its own can, it may lack a little.
+    """Whether `one` is the better end: never if only it needs impossible parameters. If only `other` does, `one` may
+    lack `DETAILS` of what that explains.
     """
     if is_implausible(one, other):
         return False

@@ -23,11 +23,11 @@ PROMISING = 4.0  # in evidence
 def fit_from(
     fitter: Fitter, before: Fitted, found: Screened, most: int = MOST_STEPS, alone: Fitted | None = None
 ) -> Fitted:
-    """From where screening points: the parameters of before moved along, or to make way and no further, where a coupled
-    effect has the cost rough; as they were, or as the drive file has them; from what the effect was found to be
-    `alone`, before another was known; and from where nothing is added yet, should it have pointed too far.
+    """The best of several starts: earlier parameters as screening moves them, moved by the effect's step alone (beside
+    a coupled one), unmoved, and nominal; and where the effect was fitted `alone`, before another was known. If that
+    start is worse than `before`, from zero amplitude too.
 
-    A coupled effect is no small change: alone first, everything else held, which costs little.
+    A coupled effect is no small change: it is fitted alone first, everything else held, which costs little.
     """
     aside = [found.aside] if before.model.coupled else []
     nominal = np.r_[np.zeros(len(NAMES)), before.theta[len(NAMES) :]]

@@ -97,12 +97,12 @@ def allowance(one: Fitted, nominal: Fitted | Point) -> float:
 
 
 def refit_from_nominal(fitter: Fitter, base: Fitted, one: Fitted) -> Fitted:
-    """The fit begun again from the drive file's own numbers, and what of it has to be searched for from there.
+    """The fit begun again from the drive file's own numbers, what of it has to be searched for from there.
 
-    A valley that leads far off may begin beside the effects as they were found first, not as they are now; a gap that
-    is a little off is made up for by friction of either direction, and is found a little closer each time. The end is
-    taken where it does without the numbers that cannot be, and lacks no more than a little of what these had told: by
-    how much the fit is likelier than with the drive file's own and its effects fitted to those.
+    The valley to far-off parameters may exist only beside the effects as they were found first; a backlash that is a
+    little off is made up for by friction, and is found a little closer each time. The end is taken if it needs no
+    impossible parameters and lacks at most `DETAILS` of what these explained: the difference in cost to the same
+    effects fitted to the drive file's own numbers.
     """
     nominal = _begun(fitter, one)
     if nominal is None:
@@ -147,7 +147,8 @@ def _searched(model: Model) -> int | None:
 def searched_again(fitter: Fitter, before: Fitted, one: Fitted) -> Fitted:
     """The fit, what of it has to be searched for searched again where the fit has all else, as long as that gains.
 
-    At first all else was as the drive file has it, or as it was without that effect: a wrong gap times the blows then.
+    The first search had all else nominal, or fitted without the effect: a wrong backlash width then mistimes the
+    impacts.
     """
     index = _searched(one.model)
     if index is None:
@@ -195,9 +196,9 @@ def refit_rivals(fitter: Fitter, fits: Sequence[Fitted]) -> list[Fitted]:
 def refit_without_process_force(fitter: Fitter, one: Fitted) -> Fitted:
     """The fit begun again where the filter may invent hardly any force.
 
-    Parameters and process force are fitted in turn, each to the other as it is, and such a search has more than one
-    end. From a large process force, which blames the filter for what the parameters should tell, it may not find the
-    end at which the model tells all; from the least one it does, where there is one.
+    Parameters and process noise are fitted in turn, each to the other as it is, and such a search has more than one
+    end. From a large process noise, which blames the filter for what the parameters should tell, it may miss the end at
+    which the model tells all; from the least one it does not, where there is one.
     """
     trajectory = one.filtered.trajectory
     there = fitter.with_process(

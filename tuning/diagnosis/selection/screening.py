@@ -46,7 +46,7 @@ from tuning.store.store import Arrays
 TRIED = np.array([(1, 1), (0.3, 0.3), (0.1, 0.1), (0.01, 0.01), (3, 3), (0.03, 1), (0.3, 3)])  # times process forces
 BEST = 3  # of a grid, at which more is done than to screen it
 LIKELY, BETWEEN = 2, 8  # points of a grid about which it is refined, and how many are tried there
-LITTLE, MUCH = 0.1, 2.0  # of a point of a grid, how far a secant is believed
+LITTLE, MUCH = 0.1, 2.0  # of a point of a grid: the least and the most that a secant takes of it
 GLANCE = 2  # steps of a fit, by which what had made up for an effect makes way for it
 SCREENED = ("gain", "evidence", "rest", "aside", "processes")  # in the order of `Screened`
 VALUE = "value "  # before the name of a parameter
@@ -63,8 +63,8 @@ class Screened(NamedTuple):
     gain: float  # fall of the cost
     evidence: float  # and of -2 log evidence
     values: dict[str, Vector]  # of its parameters, one for each log: where to start a fit
-    rest: Vector  # u of all that was free before, moved along
-    aside: Vector  # and moved no further than to make way
+    rest: Vector  # theta of what was free before, after its own step and the effect's
+    aside: Vector  # after the effect's alone
     processes: Float[np.ndarray, "k 2"]  # N: the process forces to start from
 
 
@@ -85,11 +85,11 @@ Labels = list[tuple[Parameter, int | None]]
 
 
 def sensitivities(fitted: Fitted, candidate: Candidate, point: Values) -> tuple[Float[np.ndarray, "m k"], Labels]:
-    """Derivatives of the residuals by each amplitude of the candidate at a point of its grid, and what each is of:
-    a parameter, in units of its prior, and of which log; zero where the filter was lost.
+    """Derivatives of the residuals by each amplitude of the candidate at a point of its grid, and what each is of: a
+    parameter, in units of its prior, and of which log; zero where the filter was lost.
 
-    What the candidate does alone, the others outside the filter being a force that acts beside the motor: to first
-    order that is what it does beside them, but for what answers the motor's force beside another of the actuator's.
+    The candidate acts alone; the effects outside the filter that are there enter as a known force beside the motor's.
+    To first order this is exact, but for their interaction in the actuator.
     """
     columns, bend, labels = _small_changes(fitted, candidate, point)
     alone = residual_jvp(fitted, bend, columns)
@@ -134,7 +134,7 @@ def _small_changes(
 
 
 def _pushed(fitted: Fitted) -> Logged:
-    """The logs, and what the effects outside the filter push, which what follows the table has to know, as known."""
+    """The logs, the force of the effects outside the filter added to what is known to act."""
     logged = fitted.model.logged
     without = signals_along(logged, fitted.drive, (), fitted.filtered.trajectory)
     known = logged.lanes.disturbance + (fitted.signals.force - without.force)
@@ -262,7 +262,7 @@ def joined(model: Model, candidate: Candidate, values: dict[str, Vector] | None 
 
 
 def begin(model: Model, values: dict[str, Vector], member: int = -1) -> Vector:
-    """U of a member of a model, the last one if none is given, at `values`; at its middle where there is none."""
+    """Theta of a member of a model, the last one if none is given, at `values`; at its middle where there is none."""
     wanted = member % len(model.members)
     known = {one.name: one for one in model.members[wanted].candidate.parameters}
     theta = []

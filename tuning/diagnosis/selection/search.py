@@ -53,7 +53,7 @@ class Round(NamedTuple):
     screened: list[Screened]  # best first
     fits: list[Fitted]  # best first
     rivals: int  # how many of these, the first ones, may stand for one another
-    allowance: float  # in evidence, that the first may lack since it resolves an impossibility
+    allowance: float  # in evidence, that the first may lack since it avoids impossible parameters
     enough: float = WORTH  # in evidence, that the first had to bring
 
     def with_first(self, fit: Fitted) -> "Round":
