@@ -5,6 +5,7 @@ compiled filter (`ekf`) serves them all. Those in a loop with the table's veloci
 stepped within it.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple, cast
 
 import jax
@@ -14,7 +15,7 @@ from jaxtyping import Array, Float, PyTree
 
 from diffdrive.effects import stages
 from diffdrive.effects.actuator import ActuatorLag, LoopDelay
-from diffdrive.effects.base import Effect, Seen
+from diffdrive.effects.base import ActuatorEffect, Effect, Push, Seen
 from diffdrive.model.actuator import saturate
 from diffdrive.model.current_loop import mean_forces
 from diffdrive.model.parameters import Drive, Sampling
@@ -77,36 +78,54 @@ def effect_signals(
     def one(lane: Lanes, trajectory: Trajectory, effects: tuple[Effect, ...], start: Scalar) -> EffectSignals:
         effects, asked = _asked(drive, effects, delay, lane, sampling, ahead)
         parts = asked.shape[1]
+        push = _pushes(effects, asked, period / parts)
+        mean, slope = jnp.asarray(push.mean), jnp.asarray(push.slope)
+        force = jnp.sum(mean, axis=1) / parts
+        shift = jnp.sum(stages.slope_displacement(machine, slope, period / parts), axis=1)
+        # of each substep, so that a delay, which needs those, runs in the filter that is compiled already
         held = sampling.plant_steps // parts  # substeps
+        ripple = jnp.repeat(mean - force[:, None], held, axis=1) if parts > 1 else None
+        others = tuple(effect for effect in effects if not isinstance(effect, ActuatorEffect))
 
-        def step(states: tuple[PyTree, ...], at: PyTree) -> tuple[tuple[PyTree, ...], EffectSignals]:
-            count, table, forces, pushed, load = at
-            pushes = []
-            for k in range(parts):
-                states, push = stages.actuator_output(effects, states, forces[k], period / parts)
-                pushes.append(push)
-            force = sum(push.mean for push in pushes) / parts
-            # of each substep, so that a delay, which needs those, runs in the filter that is compiled already
-            ripple = jnp.repeat(jnp.stack([push.mean - force for push in pushes]), held) if parts > 1 else None
+        def step(states: tuple[PyTree, ...], at: PyTree) -> tuple[tuple[PyTree, ...], tuple[Scalar, ...]]:
+            count, table, force, shift, pushed, load = at
             seen = Seen(
                 start + count * period, table.position, table.velocity, table.bristle, force, table.friction, load,
                 pushed, disturbance=table.disturbance,
             )  # fmt: skip
-            states, acts = stages.table_action(effects, states, seen, machine, period)
-            scale = stages.scale_error(effects, table.position)
-            shift = acts.shift + sum(stages.slope_displacement(machine, push.slope, period / parts) for push in pushes)
+            states, acts = stages.table_action(others, states, seen, machine, period)
+            scale = stages.scale_error(others, table.position)
             beside = pushed + acts.force
-            one = (force + beside, acts.coulomb, acts.gap, acts.viscous, shift, scale, beside)
-            return states, EffectSignals._make((*(value + 0.0 * force for value in one), ripple))
+            found = (force + beside, acts.coulomb, acts.gap, acts.viscous, acts.shift + shift, scale, beside)
+            return states, tuple(value + 0.0 * force for value in found)
 
         count = jnp.arange(len(asked), dtype=asked.dtype)
-        signals = (count, trajectory, asked, lane.disturbance, lane.load)
-        states = stages.initial_states(effects, asked[0, 0])
-        if not jax.tree.leaves(states):  # what remembers nothing is the same sample by sample, and all at once
-            return jax.vmap(lambda at: step(states, at)[1])(signals)
-        return lax.scan(step, states, signals)[1]
+        signals = (count, trajectory, force, shift, lane.disturbance, lane.load)
+        return EffectSignals._make((*_along(step, stages.initial_states(others, asked[0, 0]), signals), ripple))
 
     return lax.map(lambda each: one(*each), (lanes, trajectory, effects, starts))
+
+
+def _pushes(effects: tuple[Effect, ...], asked: Float[Array, "n parts"], part: float) -> Push:
+    """What the actuator does of the force asked for in each part (s) of each sample, [n, parts] each.
+
+    A loop of its own over all parts: written out within each sample, forty of them take the compiler many GB.
+    """
+    chain = tuple(effect for effect in effects if isinstance(effect, ActuatorEffect))
+
+    def step(states: tuple[PyTree, ...], force: Scalar) -> tuple[tuple[PyTree, ...], Push]:
+        states, push = stages.actuator_output(chain, states, force, part)
+        return states, Push(push.mean, push.slope + 0.0 * push.mean)
+
+    found = _along(step, stages.initial_states(chain, asked[0, 0]), asked.reshape(-1))
+    return jax.tree.map(lambda one: one.reshape(asked.shape), found)
+
+
+def _along(step: Callable[[PyTree, PyTree], tuple[PyTree, PyTree]], states: PyTree, signals: PyTree) -> PyTree:
+    """The results of `step` from sample to sample; all at once where nothing is remembered."""
+    if not jax.tree.leaves(states):
+        return jax.vmap(lambda at: step(states, at)[1])(signals)
+    return lax.scan(step, states, signals)[1]
 
 
 def _asked(
