@@ -190,7 +190,9 @@ def run_filter(
         # what begins as a constant and differs from lane to lane later has JAX trace the loop once more for each batch
         nil = 0.0 * (lane.position[0] + acts.force[0] + process_noise.ar1_std)
         first = (begin, diagonal((measured_variance, *spread)), effects)
-        carry = jax.tree.map(lambda leaf: leaf + nil if jnp.issubdtype(leaf.dtype, jnp.inexact) else leaf, first)
+        carry = jax.tree.map(
+            lambda leaf: leaf + nil if jnp.issubdtype(jnp.result_type(leaf), jnp.inexact) else leaf, first
+        )
 
         def step(carry: PyTree, at: PyTree) -> tuple[PyTree, PyTree]:
             return body(carry, (*at, coupled, again))

@@ -244,7 +244,7 @@ def test_a_screw_is_searched_for_again_beside_a_tilt_as_long_as_it_helps(sound, 
         return evolving.Evolved(further, np.ones((1, 2)))
 
     class Fits(type(fitter)):
-        def fit(self, model, theta, process_noise, trajectory):
+        def fit(self, model, theta, process_noise, trajectory, *_):
             return one._replace(theta=theta, cost=next(ahead))
 
     monkeypatch.setattr(refit, "evolved_once", evolved)
