@@ -64,7 +64,7 @@ from tuning.diagnosis.limits.detection import DetectionLimit, allowed, detection
 from tuning.diagnosis.limits.isolability import Rivalry, rivalries
 from tuning.diagnosis.selection.explain import MOST_EFFECTS, evidence_needed, explain, is_looked_for
 from tuning.diagnosis.selection.explanation import Explanation
-from tuning.diagnosis.selection.search import Progress, Round, recalibrated
+from tuning.diagnosis.selection.search import Progress, recalibrated
 from tuning.diagnosis.selection.snapshots import read_snapshots
 from tuning.diagnosis.selection.stages import Tell, of_gap, unheard
 from tuning.diagnosis.selection.step_size import with_step_short_enough
@@ -303,7 +303,7 @@ def _subsystems(found: Explanation, unexplained: float) -> list[Region]:
     """
     if not found.best.model.added:
         return []
-    first: Round = found.rounds[0]
+    first = found.rounds[0]
     total = max(found.base.cost - found.best.cost, 1e-9) / max(1.0 - unexplained, 1e-9)
     gained = [(one.candidate, one.gain) for one in reversed(first.screened)]  # the best of each name last
     gained += [(last_candidate(one), first.before.cost - one.cost) for one in first.fits]
@@ -315,8 +315,7 @@ def _subsystems(found: Explanation, unexplained: float) -> list[Region]:
         if not here:
             continue
         best = max(here)
-        free = freedom.get(best[1], 1)
-        chance = min(1.0, len(here) * float(chi2.sf(max(best[0], 0.0), free)))  # the best of so many
+        chance = min(1.0, len(here) * float(chi2.sf(max(best[0], 0.0), freedom[best[1]])))  # the best of so many
         share = float(np.clip(best[0] / total, 0.0, 1.0))
         says = f"a change in the {place} ({best[1]}) would explain {100 * share:.0f} % of it"
         regions.append(Region("subsystem", place, share, 0.0, chance, says))

@@ -7,7 +7,7 @@ dwells where the gap lies.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -56,6 +56,11 @@ class Experiment(NamedTuple):
     says: str  # a whole sentence
     reference: Motion | None = None  # that motion, to be run
 
+    @classmethod
+    def none(cls, says: str, between: Sequence[str] = (), tells: float = 0.0) -> "Experiment":
+        """No motion."""
+        return cls("", list(between), tells, says)
+
 
 _rollout = eqx.filter_jit(rollout_loop)
 
@@ -65,21 +70,21 @@ def next_experiment(found: Diagnosis, description: Axis) -> Experiment:
     verdict = found.verdict
     causes = [one for one in verdict.beliefs if one.found]
     if found.excitation_deficits:
-        return Experiment("", [], 0.0, f"Log {found.excitation_deficits[0].motion}.")
+        return Experiment.none(f"Log {found.excitation_deficits[0].motion}.")
     if verdict.verdict == "none":
-        return Experiment("", [], 0.0, "Nothing is left to decide.")
+        return Experiment.none("Nothing is left to decide.")
     if verdict.verdict == "unknown" and not causes and verdict.unexplained == 0.0:
-        return Experiment("", [], 0.0, f"Measure that parameter by itself, no motion is proposed: {verdict.says}.")
+        return Experiment.none(f"Measure that parameter by itself, no motion is proposed: {verdict.says}.")
     pairs = [(cause, *rival) for cause in causes for rival in _rivals(found, cause)]
     if not pairs and verdict.verdict == "unknown":
         return _exciting(found, description)
     if not pairs:
         says = "These logs leave no rival: no further motion is needed."
-        return Experiment("", [one.effect for one in causes], 0.0, says)
+        return Experiment.none(says, [one.effect for one in causes])
     first, rival, fitted = pairs[0]
     between = [first.effect, rival]
     if isinstance(description.controller, UnknownController):
-        return Experiment("", between, 0.0, "No motion can be tried: the drive file names no controller to simulate.")
+        return Experiment.none("No motion can be tried: the drive file names no controller to simulate.", between)
     limits, about = available_limits(found.logged.lanes, description.limits)
     tried = candidates(description.drive, limits, description.sampling.rate, about)
 
@@ -94,7 +99,7 @@ def next_experiment(found: Diagnosis, description: Axis) -> Experiment:
             f"None of the {len(tried)} motions tried would distinguish {between[0]} from {between[1]} "
             f"(the best by {tells:.0f} in -2 log likelihood, {needed:.0f} being enough)."
         )
-        return Experiment("", between, tells, says)
+        return Experiment.none(says, between, tells)
     says = f"The motion {best} would distinguish {between[0]} from {between[1]} (by {tells:.0f} in -2 log likelihood)."
     return Experiment(best, between, tells, says, tried[best])
 
@@ -157,9 +162,7 @@ class _Axis(NamedTuple):
 def _exciting(found: Diagnosis, description: Axis) -> Experiment:
     """The motion that dwells where the recalibrated drive's gap lies."""
     if not found.gap.is_known:
-        return Experiment(
-            "", [], 0.0, "No motion is proposed for a drive file so far from its logs: correct units, signs."
-        )
+        return Experiment.none("No motion is proposed for a drive file so far from its logs: correct units, signs.")
     limits = description.limits
     counted = np.asarray(found.logged.lanes.counts) > 0
     position = np.asarray(found.logged.lanes.position)[counted]
@@ -182,7 +185,7 @@ def _exciting(found: Diagnosis, description: Axis) -> Experiment:
     try:
         run = require_within(_built(text, description.sampling.rate), limits)
     except MotionError as problem:
-        return Experiment("", [], 0.0, f"{lies}; no motion is proposed: {problem}.")
+        return Experiment.none(f"{lies}; no motion is proposed: {problem}.")
     return Experiment(text, [], 0.0, f"{lies}: log {text}, which {does}.", run)
 
 

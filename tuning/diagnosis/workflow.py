@@ -39,7 +39,7 @@ from tuning.store.folder import FolderStore
 
 AMOUNT_TOLERANCE = 0.3  # of what a log's fault would look like: so near is what was found, if it is that
 WIDTH, LINES = 100, 25  # of a summary
-NOT_SEARCHED = Experiment("", [], 0.0, "Not looked for: the diagnosis was stopped before.")
+NOT_SEARCHED = Experiment.none("Not looked for: the diagnosis was stopped before.")
 Fatal = list[tuple[str, Finding]]  # what is wrong with which log
 
 
@@ -262,7 +262,7 @@ def next_motion_of(axis: Axis, used: CheckedLogs, found: Diagnosis) -> Experimen
     if not used.fatal:
         return next_experiment(found, axis.as_logged())
     log, first = _most_urgent(found, used.fatal)
-    return Experiment("", [], 0.0, f"Before any motion, correct {log}: {first.remedy}.")
+    return Experiment.none(f"Before any motion, correct {log}: {first.remedy}.")
 
 
 def is_void(used: CheckedLogs) -> bool:
