@@ -50,10 +50,14 @@ def limits_of(fitter, fitted, several, needed=LACKING):
 
 
 def evidence_of(name, *effects):
-    """What screening makes of an effect of the catalogue in a log of a machine with these."""
+    """What screening makes of an effect of the catalogue in a log of a machine with these, less the price of its other
+    parameters, of which it takes the best of a grid.
+    """
     fitter = fitter_of(*effects, seed=2)
     base = allowed(fitter, recalibrated(fitter, TOLERANCE))
-    return max(screen(base, one).evidence for one in catalogue(fitter, base) if one.name == name)
+    several = [one for one in catalogue(fitter, base) if one.name == name]
+    others = [sum(not parameter.amplitude for parameter in one.parameters) for one in several]
+    return max(screen(base, one).evidence - DEARNESS * count for one, count in zip(several, others, strict=True))
 
 
 @pytest.mark.long
