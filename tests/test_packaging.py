@@ -96,7 +96,17 @@ def test_imports_within_diffdrive_point_from_the_whole_to_its_parts(path):
     assert against == []
 
 
-DIAGNOSIS = ("filter", "hypotheses", "fits", "gap", "selection", "judgement", "limits")  # each uses those before it
+DIAGNOSIS = (
+    "levels",
+    "blocks",
+    "filter",
+    "hypotheses",
+    "fits",
+    "gap",
+    "selection",
+    "judgement",
+    "limits",
+)  # each uses those before it
 
 
 @pytest.mark.parametrize(

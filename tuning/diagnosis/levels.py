@@ -8,11 +8,10 @@ docs/method/diagnosis-method.md#the-numbers-that-decide.
 
 from math import log
 
-from tuning.diagnosis.filter.ekf import LOST
-
 CHANCE = 1e-6  # that a sound machine seems to have more, at most
 DECLARED = 0.05  # of probability against the best: a hypothesis that likely is not excluded
 TRIALS = 21  # effects of the catalogue
+LOST = 6.0  # standard deviations; a filter that is so far off begins again from the measurement
 SURELY = 2.0  # standard deviations, by which what differs stands out
 
 # of cost, up to which nothing is missing: two process forces gain more with at most that chance (chi-square, two

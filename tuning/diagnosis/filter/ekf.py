@@ -26,11 +26,11 @@ from diffdrive.observers.kalman import diagonal, kalman_gain, predict_covariance
 from tuning.diagnosis.filter import motor_state
 from tuning.diagnosis.filter.effect_signals import EffectSignals, Trajectory
 from tuning.diagnosis.filter.segments import segments
+from tuning.diagnosis.levels import LOST
 from tuning.identification.prediction import Lanes, initial_state, initial_velocity
 
 UNKNOWN_VELOCITY = 1e-3  # m/s, standard deviation at the first sample
 DISTURBANCE_TIME = 0.02  # s, that a missing force lasts
-LOST = 6.0  # scatters; a filter that is so far off begins again from the measurement
 RESTART_STD = 1e-5  # m, standard deviation of the position when it does
 QUIETEST = 1e-6  # the square of the scale of all noises, at least: a log that never changes shows no noise at all
 

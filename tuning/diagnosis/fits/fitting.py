@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from tuning.diagnosis.filter.derivatives import StepJacobians
 from tuning.diagnosis.filter.effect_signals import Trajectory
-from tuning.diagnosis.filter.ekf import LOST, ProcessNoise, compiled_filter
+from tuning.diagnosis.filter.ekf import ProcessNoise, compiled_filter
 from tuning.diagnosis.filter.second_encoder import Twist, predicted_twist, twist_deviance
 from tuning.diagnosis.fits.curvature import limited, solved
 from tuning.diagnosis.fits.differences import by_numbers
@@ -28,6 +28,7 @@ from tuning.diagnosis.hypotheses.model import (
     signals_by_calibration,
     signals_jvp,
 )
+from tuning.diagnosis.levels import LOST
 from tuning.store.store import Store, digest
 
 LEAST, MOST = 1e-3, 1e3  # N, of process force

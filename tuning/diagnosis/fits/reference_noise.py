@@ -6,10 +6,11 @@ A lost filter begins again from the measurement, time after time, and sees no fo
 import numpy as np
 from jaxtyping import Float
 
-from tuning.diagnosis.filter.ekf import LOST, EkfResult
+from tuning.diagnosis.filter.ekf import EkfResult
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.hypotheses.setting import setting
+from tuning.diagnosis.levels import LOST
 
 Forces = Float[np.ndarray, " 2"]  # N, as in `ProcessNoise`
 

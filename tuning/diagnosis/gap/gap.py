@@ -26,12 +26,13 @@ from diffdrive.numerics.arrays import as_arrays
 from tuning.diagnosis.blocks import block_sums
 from tuning.diagnosis.filter.derivatives import StepJacobians, innovations_of_forcings
 from tuning.diagnosis.filter.effect_signals import Trajectory
-from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME, LOST, EkfResult, force_per_innovation
+from tuning.diagnosis.filter.ekf import DISTURBANCE_TIME, EkfResult, force_per_innovation
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.fits.fitting import Fitter
 from tuning.diagnosis.fits.goodness_of_fit import BLIND
 from tuning.diagnosis.fits.reference_noise import share_lost
 from tuning.diagnosis.hypotheses.model import counted_in, delay_of
+from tuning.diagnosis.levels import LOST
 from tuning.identification.replay import ReplayInputs, initial_loop_state, replay_inputs
 
 TRUSTING = 0.1  # of the likeliest process force

@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-from tuning.diagnosis.filter.ekf import LOST
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.judgement.verdict import Verdict
-from tuning.diagnosis.levels import CHANCE
+from tuning.diagnosis.levels import CHANCE, LOST
 
 MOMENT, SHORTEST = 5e-3, 3  # s, and samples at least
 SETTLED = 3  # samples after one at which the filter was lost

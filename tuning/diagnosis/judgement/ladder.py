@@ -12,13 +12,14 @@ from jaxtyping import Float
 from diffdrive.controllers import Controller
 from diffdrive.logs import Log
 from tuning.diagnosis.blocks import block_sums
-from tuning.diagnosis.filter.ekf import LOST, EkfResult
+from tuning.diagnosis.filter.ekf import EkfResult
 from tuning.diagnosis.fits.fitted import Fitted, last_candidate
 from tuning.diagnosis.fits.fitting import NEAR, Fitter
 from tuning.diagnosis.fits.reference_noise import Forces, least_following, reference_process_noise
 from tuning.diagnosis.fits.threads import in_parallel
 from tuning.diagnosis.gap.gap import ForceGap, LoopGap, drive_of, force_floor, force_gap, loop_gap, uncoupled
 from tuning.diagnosis.gap.splitting import Split, determined, of_session, split
+from tuning.diagnosis.levels import LOST
 from tuning.diagnosis.selection.explanation import Explanation
 
 CARRY, REGISTER = 6, 4  # steps of the fit to the training logs, and of the registration

@@ -21,7 +21,6 @@ from jaxtyping import Float
 
 from diffdrive.effects.actuator import LoopDelay
 from diffdrive.effects.catalogue import EFFECTS
-from tuning.diagnosis.filter.ekf import LOST
 from tuning.diagnosis.filter.second_encoder import predicted_twist, seen_by
 from tuning.diagnosis.fits.curvature import log_volume, solved
 from tuning.diagnosis.fits.fitted import Fitted, Point
@@ -31,7 +30,7 @@ from tuning.diagnosis.fits.reduced import reduced
 from tuning.diagnosis.hypotheses.candidate import WAVE, Candidate
 from tuning.diagnosis.hypotheses.model import Vector, effect_in_lanes
 from tuning.diagnosis.hypotheses.priors import ITSELF, Parameter
-from tuning.diagnosis.levels import STRAINED
+from tuning.diagnosis.levels import LOST, STRAINED
 from tuning.diagnosis.selection.screening import DEARNESS, Values, begin, joined, sensitivities
 
 EITHER = (-1.0, 1.0)  # deviations of its prior, to which each parameter is moved from its usual value

@@ -12,10 +12,10 @@ from scipy.signal import savgol_filter
 from diffdrive.effects.forces import Cogging, ProcessForce
 from diffdrive.effects.friction import AppliedLoad
 from diffdrive.effects.scale import InterpolationError, LeadError
-from tuning.diagnosis.filter.ekf import LOST
 from tuning.diagnosis.fits.fitted import Fitted
 from tuning.diagnosis.gap.lines import lines_in_position, lines_in_time, missing_force
 from tuning.diagnosis.hypotheses.candidate import Candidate
+from tuning.diagnosis.levels import LOST
 
 SCALES = {LeadError: ("lead", 1e-3, 0.05), InterpolationError: ("period", 1e-6, 5e-4)}  # m, between which to look
 BIN = 0.05  # s, to which the times of a load are looked for
