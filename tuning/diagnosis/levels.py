@@ -10,7 +10,7 @@ from math import log
 
 CHANCE = 1e-6  # that a sound machine seems to have more, at most
 DECLARED = 0.05  # of probability against the best: a hypothesis that likely is not excluded
-TRIALS = 21  # effects of the catalogue
+TESTED = 21  # effects of the catalogue
 LOST = 6.0  # standard deviations; a filter that is so far off begins again from the measurement
 SURELY = 2.0  # standard deviations, by which what differs stands out
 
@@ -18,7 +18,7 @@ SURELY = 2.0  # standard deviations, by which what differs stands out
 # degrees of freedom); and of evidence: a hypothesis that is not true brings as much with at most that chance (Markov)
 LACKING = -2.0 * log(CHANCE)
 BLOWS = LOST**2  # of cost, of a sample at which the filter was lost: about what the filter itself counts it
-WORTH = 2.0 * log(TRIALS / DECLARED)  # of evidence, that an effect must bring: by chance any of them does so seldom
+WORTH = 2.0 * log(TESTED / DECLARED)  # of evidence, that an effect must bring: by chance any of them does so seldom
 EXCLUDED = -log(DECLARED)  # temperatures, by which a rival is no alternative
 COLDEST = LACKING / EXCLUDED  # the temperature at least: who lacks `LACKING` of evidence is excluded
 

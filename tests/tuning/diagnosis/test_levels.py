@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from tuning.diagnosis.hypotheses.catalogue import CATALOGUE
 from tuning.diagnosis.hypotheses.setting import Setting
-from tuning.diagnosis.levels import BLOWS, CHANCE, COLDEST, DECLARED, LACKING, TRIALS, WORTH
+from tuning.diagnosis.levels import BLOWS, CHANCE, COLDEST, DECLARED, LACKING, TESTED, WORTH
 
 SETTING = Setting(100.0, 70.0, 4e-4, 2e3, 0.0, 3e-6, 5e-4, 9.0, -0.02, 0.02, 0.06, 200.0, 200.0)
 
@@ -22,8 +22,8 @@ def test_a_sample_at_which_the_filter_is_lost_is_missing_by_itself():
 def test_by_chance_one_of_all_effects_brings_what_it_must_as_seldom_as_a_rival_is_no_longer_declared():
     """Markov: evidence of twice the logarithm of 1 / p comes with a chance of p at most."""
     names = {make(SETTING).name for make in CATALOGUE}
-    assert len(names) == TRIALS
-    assert TRIALS * np.exp(-0.5 * WORTH) == pytest.approx(DECLARED)
+    assert len(names) == TESTED
+    assert TESTED * np.exp(-0.5 * WORTH) == pytest.approx(DECLARED)
 
 
 def test_a_rival_that_lacks_what_counts_as_missing_is_not_declared():

@@ -76,9 +76,9 @@ def effect_signals(
     period = sampling.period
 
     def one(lane: Lanes, trajectory: Trajectory, effects: tuple[Effect, ...], start: Scalar) -> EffectSignals:
-        effects, asked = _asked(drive, effects, delay, lane, sampling, ahead)
-        parts = asked.shape[1]
-        push = _pushes(effects, asked, period / parts)
+        effects, requested = _requested(drive, effects, delay, lane, sampling, ahead)
+        parts = requested.shape[1]
+        push = _pushes(effects, requested, period / parts)
         mean, slope = jnp.asarray(push.mean), jnp.asarray(push.slope)
         force = jnp.sum(mean, axis=1) / parts
         shift = jnp.sum(stages.slope_displacement(machine, slope, period / parts), axis=1)
@@ -99,15 +99,15 @@ def effect_signals(
             found = (force + beside, acts.coulomb, acts.gap, acts.viscous, acts.shift + shift, scale, beside)
             return states, tuple(value + 0.0 * force for value in found)
 
-        count = jnp.arange(len(asked), dtype=asked.dtype)
+        count = jnp.arange(len(requested), dtype=requested.dtype)
         signals = (count, trajectory, force, shift, lane.disturbance, lane.load)
-        return EffectSignals._make((*_along(step, stages.initial_states(others, asked[0, 0]), signals), ripple))
+        return EffectSignals._make((*_along(step, stages.initial_states(others, requested[0, 0]), signals), ripple))
 
     return lax.map(lambda each: one(*each), (lanes, trajectory, effects, starts))
 
 
-def _pushes(effects: tuple[Effect, ...], asked: Float[Array, "n parts"], part: float) -> Push:
-    """What the actuator does of the force asked for in each part (s) of each sample, [n, parts] each.
+def _pushes(effects: tuple[Effect, ...], requested: Float[Array, "n parts"], part: float) -> Push:
+    """What the actuator does of the force requested in each part (s) of each sample, [n, parts] each.
 
     A loop of its own over all parts: written out within each sample, forty of them take the compiler many GB.
     """
@@ -117,8 +117,8 @@ def _pushes(effects: tuple[Effect, ...], asked: Float[Array, "n parts"], part: f
         states, push = stages.actuator_output(chain, states, force, part)
         return states, Push(push.mean, push.slope + 0.0 * push.mean)
 
-    found = _along(step, stages.initial_states(chain, asked[0, 0]), asked.reshape(-1))
-    return jax.tree.map(lambda one: one.reshape(asked.shape), found)
+    found = _along(step, stages.initial_states(chain, requested[0, 0]), requested.reshape(-1))
+    return jax.tree.map(lambda one: one.reshape(requested.shape), found)
 
 
 def _along(step: Callable[[PyTree, PyTree], tuple[PyTree, PyTree]], states: PyTree, signals: PyTree) -> PyTree:
@@ -128,21 +128,21 @@ def _along(step: Callable[[PyTree, PyTree], tuple[PyTree, PyTree]], states: PyTr
     return lax.scan(step, states, signals)[1]
 
 
-def _asked(
+def _requested(
     drive: Drive, effects: tuple[Effect, ...], delay: Scalar, lane: Lanes, sampling: Sampling, ahead: float
 ) -> tuple[tuple[Effect, ...], Float[Array, "n k"]]:
-    """The force asked of the actuator in each part of each sample, and the effects that it has yet to meet.
+    """The force requested of the actuator in each part of each sample, and the effects that it has yet to meet.
 
     A part is a control period, or a substep of the plant where the force changes within one: late or lagging, it does.
     In the mean over a whole period it would be spread over it, and a fine scale tells that from a delay. Delays, which
     are counted in samples, hold the command back here.
     """
-    asked = in_parts(lane.command, 1) if lane.period_commands is None else lane.period_commands
+    requested = in_parts(lane.command, 1) if lane.period_commands is None else lane.period_commands
     if any(isinstance(effect, LoopDelay | ActuatorLag) for effect in effects):
-        asked = jnp.repeat(asked, sampling.plant_steps // asked.shape[1], axis=1)
-    count, parts = asked.shape
+        requested = jnp.repeat(requested, sampling.plant_steps // requested.shape[1], axis=1)
+    count, parts = requested.shape
     late = delay + sum(effect.delay for effect in effects if isinstance(effect, LoopDelay))
-    limited = cast(Array, saturate(drive.actuator, asked.reshape(-1)))  # of an array, it is one
+    limited = cast(Array, saturate(drive.actuator, requested.reshape(-1)))  # of an array, it is one
     applied = mean_forces(drive.actuator, limited, sampling.period / parts)
     force = _held_back(applied, jnp.maximum(late, -ahead) * parts)
     return tuple(effect for effect in effects if not isinstance(effect, LoopDelay)), force.reshape(count, parts)

@@ -28,7 +28,7 @@ from tuning.identification.shown_motion import SLOWEST
 
 LAID = 4000  # times that the energy is laid elsewhere: a single region must stand out from some forty
 TOGETHER = 2**20  # cells that are laid out anew at once
-CELL = 5e-3  # s: what is told apart within a block, which is laid together
+CELL = 5e-3  # s: the resolution within a block, whose cells are laid together
 SETTLING = 0.05  # s about a change of direction that count as the reversal
 STEADY = 0.15  # of the largest acceleration, below which a motion is a cruise
 PLACES, TIMES, SPEEDS = 6, 6, 4
