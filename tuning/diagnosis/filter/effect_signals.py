@@ -131,7 +131,7 @@ def _along(step: Callable[[PyTree, PyTree], tuple[PyTree, PyTree]], states: PyTr
 def _requested(
     drive: Drive, effects: tuple[Effect, ...], delay: Scalar, lane: Lanes, sampling: Sampling, ahead: float
 ) -> tuple[tuple[Effect, ...], Float[Array, "n k"]]:
-    """The force requested of the actuator in each part of each sample, and the effects that it has yet to meet.
+    """The effects that have yet to act on it, and the force requested of the actuator in each part of each sample.
 
     A part is a control period, or a substep of the plant where the force changes within one: late or lagging, it does.
     In the mean over a whole period it would be spread over it, and a fine scale tells that from a delay. Delays, which
